@@ -16,20 +16,20 @@ CHUNK = 65_536  # faces whose neighbourhoods are held in memory at a time
 class BilateralOptions:
     """Numbers of the bilateral normal filter."""
 
-    rounds: int = 4  # of the normals' filter: more flattens what was photographed
-    steps: int = 10  # in which the vertices follow the normals
-    folded: float = 0.7  # cosine to its filtered normal under which a face counts as folded
+    rounds: int = 4  # of filtering the normals; more rounds flatten real detail
+    steps: int = 10  # of moving the vertices to match the normals
+    folded: float = 0.7  # cosine between a face's normal and its filtered one below which the face counts as folded
 
 
 def bilateral_normal_filter(mesh: Mesh, angle: float, options: BilateralOptions = BilateralOptions()) -> Mesh:
-    """Return the mesh with its vertices moved so that each face normal comes near the mean of those around it.
+    """Denoise a mesh: filter its face normals bilaterally, and move its vertices to match them.
 
-    angle: degrees. Normals that differ by `angle` weigh 0.6 in that mean, and those that differ by three times as much
-    hardly count, so that creases stay. The faces around a face are those that share a vertex with it. Vertices whose
-    move would fold a face stay in place.
+    angle: degrees. A neighbour whose normal differs by `angle` weighs 0.6 in the mean, and one that differs by three
+    times as much hardly counts, so creases stay. A face's neighbours are the faces that share a vertex with it.
+    Vertices whose move would fold a face stay in place.
 
-    Sources: Zheng, Fu, Au and Tai, Bilateral Normal Filtering for Mesh Denoising (2011), the filter; Sun, Rosin, Martin
-    and Langbein, Fast and Effective Feature-Preserving Mesh Denoising (2007), how vertices follow.
+    Sources: Zheng, Fu, Au and Tai, Bilateral Normal Filtering for Mesh Denoising (2011), for the filter; Sun, Rosin,
+    Martin and Langbein, Fast and Effective Feature-Preserving Mesh Denoising (2007), for the vertex update.
     """
     faces = mesh.faces
     if len(faces) == 0:
@@ -63,10 +63,10 @@ def _areas_and_normals(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 def _neighbourhoods(
     touches: sparse.csr_matrix, middles: np.ndarray, areas: np.ndarray, reach: float
 ) -> list[sparse.csr_matrix]:
-    """Return the weights of the faces around each face, itself among them, by area and nearness.
+    """Weigh each face's neighbours, and the face itself, by area and by a Gaussian of distance.
 
-    touches [F,V]: 1 where a face has a vertex; middles [F,3]; areas [F]; reach: the Gaussian's deviation. The result is
-    a list of sparse matrices, each with CHUNK rows (the last with fewer) and F columns.
+    touches [F,V]: 1 where a face has a vertex. middles [F,3]: the faces' centroids. areas [F]. reach: the Gaussian's
+    standard deviation, in the vertices' unit. Returns sparse matrices of CHUNK rows (the last has fewer) and F columns.
     """
     parts = []
     for start in range(0, len(middles), CHUNK):
@@ -80,9 +80,10 @@ def _neighbourhoods(
 
 
 def _mean_normals(around: sparse.csr_matrix, own: np.ndarray, normals: np.ndarray, angle: float) -> np.ndarray:
-    """Return the bilateral mean normals [C,3] of one chunk of C faces.
+    """Return the bilateral mean normals [C,3], unit, of one chunk of C faces.
 
-    around [C,F]: weights by area and nearness; own [C,3]: the chunk's normals; normals [F,3]; angle: radians.
+    around [C,F]: weights by area and distance. own [C,3]: the chunk's unit normals. normals [F,3]: those of all faces.
+    angle: radians.
     """
     sizes = np.diff(around.indptr)
     unlike = 1 - np.einsum("ij,ij->i", np.repeat(own, sizes, axis=0), normals[around.indices])
@@ -93,9 +94,10 @@ def _mean_normals(around: sparse.csr_matrix, own: np.ndarray, normals: np.ndarra
 
 
 def _follow(vertices: np.ndarray, touches: sparse.csr_matrix, normals: np.ndarray, steps: int) -> np.ndarray:
-    """Move the vertices [V,3] in steps so that the faces come to lie across the normals [F,3].
+    """Move the vertices [V,3] so that the faces become perpendicular to the normals [F,3]; return the vertices [V,3].
 
-    Each step moves a vertex towards the planes through its faces' middles. touches [F,V]: 1 where a face has a vertex.
+    Each step moves a vertex towards the planes through its faces' centroids. touches [F,V]: 1 where a face has a
+    vertex.
     """
     counts = np.maximum(touches.getnnz(axis=0), 1)
     mean = (sparse.diags(1.0 / counts) @ touches.T).tocsr()  # over the faces around a vertex
@@ -107,11 +109,11 @@ def _follow(vertices: np.ndarray, touches: sparse.csr_matrix, normals: np.ndarra
 
 
 def _unfold(moved: np.ndarray, mesh: Mesh, normals: np.ndarray, given: np.ndarray, least: float) -> np.ndarray:
-    """Put moved vertices back where a face has folded: where its normal is far from the filtered one.
+    """Move the vertices of folded faces back: those whose normals are far from the filtered ones.
 
-    moved [V,3]: the vertices after the move; changed in place and returned. mesh: before the move. normals [F,3]: the
-    filtered ones. given [F]: the cosines between the face normals before the move and `normals`; a face that was no
-    better then stays moved. least: the cosine under which a face counts as folded.
+    moved [V,3]: the vertices after the move; changed in place and returned. mesh: the mesh before the move.
+    normals [F,3]: the filtered normals. given [F]: the cosines between `normals` and the face normals before the move;
+    a face that was no better before the move stays moved. least: the cosine below which a face counts as folded.
     """
     while True:
         likeness = (_areas_and_normals(Mesh(moved, mesh.faces))[1] * normals).sum(1)

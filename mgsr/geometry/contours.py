@@ -1,7 +1,8 @@
 """Registration of a mesh to the masks' silhouette contours.
 
-A splat fades out, so the contour of a rendered surface is only known to a good part of a pixel, and training leaves it
-a little inside. A mask's alpha is the covered share of each pixel and tells its contour to about a twentieth.
+Splats fade out, so the contour of a rendered surface is uncertain by a large fraction of a pixel, and training leaves
+it slightly inside the mask. A mask's alpha is the covered share of each pixel and gives its contour to about 0.05
+pixels.
 """
 
 from __future__ import annotations
@@ -24,20 +25,20 @@ from mgsr.parallel import map_ahead
 
 @dataclass(frozen=True)
 class ContourOptions:
-    """Numbers of the registration to silhouette contours; pixels are those of the masks."""
+    """Settings of the registration to silhouette contours; pixels are those of the masks."""
 
-    search: float = 3.0  # pixels to both sides of a mask's contour in which the mesh's is looked for
-    step: float = 0.25  # pixels between two rays that look for the mesh's contour
-    finer: int = 8  # parts of a step, to which it is then found: coarser ones pull surfaces inwards by 0.04 pixels
-    facing: float = 0.5  # least cosine between a vertex normal and the contour's direction
-    coarse_edge: float = 1.0  # pixels; edges of the mesh on which the correction is found, as it is smooth
-    prior_weight: float = 0.02  # of the place of a vertex that no contour touches: it follows its neighbours, not far
-    rounds: int = 2  # of finding the mesh's contours and moving it
+    search: float = 3.0  # pixels on both sides of a mask's contour in which to search for the mesh's contour
+    step: float = 0.25  # pixels between two rays of the search
+    finer: int = 8  # rays that refine the contour within a step; fewer pull surfaces inwards by 0.04 pixels
+    facing: float = 0.5  # least cosine between the surface normal and the contour's outward direction
+    coarse_edge: float = 1.0  # pixels; edge length of the coarse mesh that carries the smooth correction
+    prior_weight: float = 0.02  # of a displacement of 0 where no contour touches: lets a vertex follow its neighbours
+    rounds: int = 2  # of finding the mesh's contours and moving its vertices
 
 
 @dataclass(frozen=True)
 class SilhouetteContour:
-    """A mask's contour: points [P,2] in pixels, and at each the unit direction [P,2] that leads out of the mask."""
+    """A mask's contour: points [P,2] in pixels, and unit directions outwards [P,2] that point out of the mask."""
 
     camera: Camera
     points: np.ndarray
@@ -47,7 +48,7 @@ class SilhouetteContour:
 def find_contour(silhouette: Silhouette) -> SilhouetteContour:
     """Find the silhouette contour of a mask to a fraction of a pixel.
 
-    Parts at the border of the image, or of its known pixels, where the object is cut off, are left out.
+    The contour leaves out parts near the border of the image or of its valid pixels, where the object is cut off.
     """
     distance = silhouette.distance
     slope_y, slope_x = np.gradient(ndimage.gaussian_filter(np.clip(distance, -4, 4), 0.7))
@@ -59,7 +60,7 @@ def find_contour(silhouette: Silhouette) -> SilhouetteContour:
     rows, columns = np.nonzero(near)
     slopes = np.stack([slope_x[rows, columns], slope_y[rows, columns]], axis=1)
     steep = np.linalg.norm(slopes, axis=1)
-    clear = steep > 0.5  # elsewhere two contours meet: a thin part, a corner
+    clear = steep > 0.5  # elsewhere two contours meet, at a thin part or a corner
     inwards = slopes[clear] / steep[clear, None]
     centers = np.stack([columns[clear], rows[clear]], axis=1) + 0.5
     return SilhouetteContour(silhouette.camera, centers - inwards * distance[rows, columns][clear, None], -inwards)
@@ -68,9 +69,9 @@ def find_contour(silhouette: Silhouette) -> SilhouetteContour:
 def fit_contours(
     mesh: Mesh, contours: Sequence[SilhouetteContour], smoothing: float, options: ContourOptions = ContourOptions()
 ) -> Mesh:
-    """Return the mesh moved along its normals so that its silhouette contours fall on the masks'.
+    """Move a mesh along its normals so that its silhouette contours coincide with the masks'.
 
-    smoothing: the number of mask pixels over which a correction spreads.
+    smoothing: the distance, in mask pixels, over which a correction spreads.
     """
     pixel = pixel_size([contour.camera for contour in contours], mesh.vertices.mean(axis=0))
     coarse = coarser(mesh, options.coarse_edge * pixel)
@@ -92,8 +93,8 @@ def contour_gaps(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the displacements [V] along a mesh's normals that bring its silhouette contours onto the masks'.
 
-    Also returns the number [V] of contour points that tell each vertex's displacement, counted in barycentric shares.
-    Both are 0 where none does. Displacements are in the scene's unit.
+    Displacements are in the scene's unit. Also returns the number [V] of contour points that touch each vertex, as sums
+    of barycentric coordinates. Both are 0 where no contour touches.
     """
     faces, normals, count, caster = mesh.faces, mesh.normals, len(mesh.vertices), mesh.caster
     sums, touched = np.zeros(count), np.zeros(count)
@@ -110,10 +111,11 @@ def contour_gaps(
 
 @dataclass(frozen=True)
 class _MeshContour:
-    """The mesh's silhouette beside Q points of a mask's contour.
+    """Q points of the mesh's silhouette contour, each beside a point of a mask's contour.
 
-    faces [Q]: the face that ends there; shares [Q,3]: the barycentric coordinates on it; outwards [Q,3]: the world
-    direction out of the mask; gaps [Q]: the distance from there to the contour, positive outwards, in the scene's unit.
+    faces [Q]: the face of each point. shares [Q,3]: its barycentric coordinates. outwards [Q,3]: the unit direction out
+    of the mask, in the world frame. gaps [Q]: the distance to the mask's contour, positive outwards, in the scene's
+    unit.
     """
 
     faces: np.ndarray
@@ -123,7 +125,7 @@ class _MeshContour:
 
 
 def _mesh_contour(caster: RayCaster, contour: SilhouetteContour, options: ContourOptions) -> _MeshContour:
-    """Find the mesh's last point on the way out across each contour point, where it lies within reach."""
+    """Find the mesh's outermost point across each contour point, if it lies within the search distance."""
     search, step, finer = options.search, options.step, options.finer
     camera, steps = contour.camera, np.arange(-search, search + step / 2, step)
     mask = caster.cast_pixels(camera, _beside(contour, steps)).mask
@@ -143,9 +145,9 @@ def _mesh_contour(caster: RayCaster, contour: SilhouetteContour, options: Contou
 
 
 def _beside(contour: SilhouetteContour, steps: np.ndarray, which: np.ndarray | slice = slice(None)) -> np.ndarray:
-    """Return pixel coordinates [Q,S,2], `steps` [S] or [Q,S] pixels outwards of the contour's points.
+    """Return the pixel coordinates [Q,S,2] at distances `steps` [S] or [Q,S] outwards of the contour's points.
 
-    which: the contour points to use, by index; all by default.
+    steps: in pixels. which: the indices [Q] of the contour points to use; all by default.
     """
     samples: np.ndarray = contour.points[which, None] + steps[..., None] * contour.outwards[which, None]
     return samples

@@ -8,11 +8,11 @@ import numpy as np
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import drop_degenerate
 
-MAX_FACES = 150_000  # of a mesh that is coarse enough to work on
+MAX_FACES = 150_000  # upper limit for the meshes that optimisations run on
 
 
 def decimate(mesh: Mesh, face_count: int) -> Mesh:
-    """Reduce a mesh to about `face_count` faces; a mesh that has no more is returned as it is."""
+    """Reduce a mesh to about `face_count` faces. A mesh with no more faces is returned unchanged."""
     if len(mesh.faces) <= face_count:
         return mesh
     points, triangles = fast_simplification.simplify(
@@ -24,7 +24,7 @@ def decimate(mesh: Mesh, face_count: int) -> Mesh:
 def coarser(mesh: Mesh, edge: float) -> Mesh:
     """Simplify a mesh to edges of length `edge` or longer, and to MAX_FACES faces at most.
 
-    edge: in the vertices' unit. The mesh keeps at least 1000 faces, where it has as many.
+    edge: in the vertices' unit. At least 1000 faces stay if the mesh has as many.
     """
     area = np.linalg.norm(mesh.face_crosses, axis=1).sum() / 2
     return decimate(mesh, min(MAX_FACES, max(1000, round(area / (0.433 * edge**2)))))

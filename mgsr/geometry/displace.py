@@ -10,15 +10,18 @@ from mgsr.geometry.mesh import Mesh
 
 
 def mean_normals(normals: np.ndarray, laplacian: sparse.csr_matrix, rounds: int) -> np.ndarray:
-    """Average unit normals [V,3] over the neighbouring vertices, `rounds` times, and return unit normals [V,3]."""
+    """Average unit normals [V,3] with those of neighbouring vertices, `rounds` times; return unit normals [V,3]."""
     for _ in range(rounds):
         normals = _unit(normals + laplacian @ normals)
     return normals
 
 
 def diffuse(values: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:
-    """Smooth values [V,...] over the surface by diffusion, like a Gaussian with a deviation of `reach` edges."""
-    for _ in range(round(4 * reach**2)):  # a step spreads by half an edge along each of the two axes
+    """Smooth values [V,...] over the surface by diffusion.
+
+    The result is about that of a Gaussian with a standard deviation of `reach` edges.
+    """
+    for _ in range(round(4 * reach**2)):  # a step adds a deviation of half an edge along each of the two axes
         values = values + 0.5 * (laplacian @ values)
     return values
 
@@ -32,9 +35,9 @@ def smooth_displacements(
 ) -> np.ndarray:
     """Return the displacements x [V] that minimise sum weights (x - target)^2 + reach^4 |laplacian x|^2.
 
-    target, weights [V]: the target displacement of each vertex, and its weight, which must be positive. reach: the
-    number of edges over which a displacement of weight 1 spreads. prolongation [P,V]: if given, target and weights
-    belong to P points, whose displacements are prolongation @ x (`Mesh.prolongation`).
+    target, weights [V]: each vertex's target displacement, and its weight, which must be positive. reach: the number of
+    edges over which a displacement of weight 1 spreads. prolongation [P,V]: if given, target and weights are [P] and
+    belong to P points with the displacements prolongation @ x (`Mesh.prolongation`).
     """
     prolongation = sparse.identity(len(target), format="csr") if prolongation is None else prolongation
     matrix = prolongation.T @ sparse.diags(weights) @ prolongation + reach**4 * (laplacian.T @ laplacian)
@@ -51,14 +54,15 @@ def integrate_normals(
 ) -> np.ndarray:
     """Return the displacements [V] along a mesh's normals that turn its edges towards target normals (Nehab 2005).
 
-    The result x minimises sum prior_weight (x - prior)^2 + strength * sum over edges (component of the moved edge along
-    its mean target normal, less the component that it had along its mean present normal)^2. So edges turn by as much as
-    the normals are to turn. An edge need not lie across its mean normal, as where a flat face meets a round one; to
-    demand that would bend a surface whose normals are right.
+    The result x minimises the sum over the vertices of prior_weight (x - prior)^2, plus strength times the sum over the
+    edges of confidence (t - c)^2. Here t is the component of the moved edge along its mean target normal, and c that of
+    the edge before the move along its mean current normal. So edges turn by the same angle as the normals. To demand
+    t = 0 would bend surfaces whose normals are right: an edge between a flat and a round part is not perpendicular to
+    its mean normal.
 
-    target [V,3]: the target unit normals. confidence [V] in 0..1: in each target normal; an edge takes the lower one of
-    its two ends. prior, prior_weight [V]: the displacements that the positions ask for, and their weights, which must
-    be positive.
+    target [V,3]: the target unit normals. confidence [V] in 0..1: of the target normals; an edge takes the lower
+    confidence of its two ends. prior [V]: the prior displacements, in the vertices' unit. prior_weight [V]: their
+    weights, which must be positive.
     """
     vertices, normals, edges = mesh.vertices, mesh.double_normals, mesh.edges
     edge_confidence = confidence[edges].min(axis=1)

@@ -1,4 +1,4 @@
-"""Smoothing of a mesh's low-frequency waves, which training leaves where photographs tell little."""
+"""Smoothing of the low-frequency waves that training leaves on a mesh where photographs constrain it weakly."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ CHUNK = 8192  # vertices whose neighbourhoods are handled at a time
 
 @dataclass(frozen=True)
 class LowFrequencyOptions:
-    """Numbers of the smoothing of low-frequency waves. A unit is a length that the caller gives, such as a pixel's."""
+    """Settings of the smoothing of low-frequency waves. The caller gives the unit, such as a pixel's size."""
 
-    edge: float = 1.0  # units; edges of the mesh that is worked on
-    reach: float = 2.5  # units; deviation of the Gaussian by which a vertex' neighbourhood weighs
-    far: float = 2.0  # deviations; what lies beyond counts no more
-    rounds: int = 3  # of the normals' filter
-    regularization: float = 0.15  # of reach squared; how firmly a fit's slopes are held to 0 where few vertices tell
-    kept: float = 2.0  # units; waves of more than 2 pi times this keep their places, shorter ones follow the normals
+    edge: float = 1.0  # units; edge length of the coarse mesh that is smoothed
+    reach: float = 2.5  # units; standard deviation of the Gaussian that weighs a vertex's neighbours
+    far: float = 2.0  # times reach; neighbours farther away do not count
+    rounds: int = 3  # of filtering the normals
+    regularization: float = 0.15  # times reach squared; pulls a fit's slopes to 0 where neighbours are few
+    kept: float = 2.0  # units; wavelengths above 2 pi times this keep their positions, shorter ones follow the normals
 
 
 def smooth_low_frequency(
     mesh: Mesh, unit: float, angle: float, options: LowFrequencyOptions = LowFrequencyOptions()
 ) -> Mesh:
-    """Return the mesh with its vertices moved so that each normal comes near a local linear fit of those around it.
+    """Smooth waves of a few units: fit the normals locally, and move the vertices to match them.
 
-    unit: a length, such as a pixel's on the surface; waves of a few units are smoothed. angle: degrees; normals that
-    differ by this weigh 0.6, and those that differ by three times as much hardly count, so that creases stay.
+    unit: a length in the vertices' unit, such as a pixel's size on the surface. angle: degrees. A neighbour whose
+    normal differs by `angle` weighs 0.6, and one that differs by three times as much hardly counts, so creases stay.
 
-    `bilateral_normal_filter` moves face normals to the mean of their neighbours. Over more neighbours a mean would
-    flatten what is round, so each normal is fitted here: local regression (Cleveland 1979) with a bilateral filter's
-    weights (Tomasi and Manduchi 1998). The positions then follow, but for the large shape.
+    `bilateral_normal_filter` replaces a normal by the mean of its neighbours. Over larger neighbourhoods, a mean
+    flattens round surfaces. So each normal is a linear fit here: local regression (Cleveland 1979) with the weights of
+    a bilateral filter (Tomasi and Manduchi 1998). The vertices follow the normals, and the large shape stays.
     """
     coarse = coarser(mesh, options.edge * unit)
     if len(coarse.faces) == 0:
@@ -50,7 +50,10 @@ def smooth_low_frequency(
 
 
 def _fitted_normals(mesh: Mesh, unit: float, angle: float, options: LowFrequencyOptions) -> np.ndarray:
-    """Fit unit normals [V,3] linearly to those around each vertex, in rounds. angle: radians."""
+    """Return unit normals [V,3], each a linear fit to those around its vertex, in several rounds.
+
+    unit: in the vertices' unit. angle: radians.
+    """
     scaled = mesh.moved(mesh.vertices / (options.reach * unit))
     places, normals = scaled.vertices, mesh.double_normals
     parts = _neighbourhoods(places, _areas(scaled), options.far)
@@ -67,10 +70,10 @@ def _fitted_normals(mesh: Mesh, unit: float, angle: float, options: LowFrequency
 
 
 def _neighbourhoods(places: np.ndarray, areas: np.ndarray, far: float) -> list[sparse.csr_matrix]:
-    """Return the weights of the vertices around each vertex, itself among them, by area and nearness.
+    """Weigh each vertex's neighbours, and the vertex itself, by area and by a Gaussian of distance.
 
-    places [V,3]: in units of the weights' deviation; areas [V]; far: in the same units. The result is a list of sparse
-    matrices, each with CHUNK rows (the last with fewer) and V columns.
+    places [V,3]: positions in units of the Gaussian's deviation. areas [V]. far: the largest distance of a neighbour,
+    in the same unit. Returns sparse matrices of CHUNK rows (the last has fewer) and V columns.
     """
     count = len(places)
     pairs = cKDTree(places).query_pairs(far, output_type="ndarray").astype(np.int32)
@@ -87,22 +90,22 @@ def _neighbourhoods(places: np.ndarray, areas: np.ndarray, far: float) -> list[s
 
 
 def _areas(mesh: Mesh) -> np.ndarray:
-    """Return each vertex's share of its faces' areas, [V]."""
+    """Return a third of the area of each vertex's faces, [V]."""
     areas = np.linalg.norm(mesh.face_crosses, axis=1) / 6
     return np.bincount(mesh.faces.ravel(), np.repeat(areas, 3), len(mesh.vertices))
 
 
 def _moments(places: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return the moments [V,25] that are summed around a vertex.
+    """Return the moments [V,25] of the positions [V,3] and normals [V,3], which are summed around each vertex.
 
-    They are 1, the place, the normal, and the outer products of the place with both.
+    They are 1, the position, the normal, and the outer products of the position with itself and with the normal.
     """
     squares, products = ((places[:, :, None] * each[:, None, :]).reshape(len(places), 9) for each in (places, normals))
     return np.concatenate([np.ones((len(places), 1)), places, normals, squares, products], axis=1)
 
 
 def _alike(around: sparse.csr_matrix, own: np.ndarray, normals: np.ndarray, angle: float) -> sparse.csr_matrix:
-    """Multiply a chunk's weights [C,V] by the likeness of the normals [V,3] to its own [C,3].
+    """Multiply a chunk's weights [C,V] by the similarity of the normals [V,3] to its own normals [C,3].
 
     angle: radians; normals that differ by this weigh 0.6.
     """
@@ -113,15 +116,15 @@ def _alike(around: sparse.csr_matrix, own: np.ndarray, normals: np.ndarray, angl
 def _fit(
     around: sparse.csr_matrix, table: np.ndarray, own: np.ndarray, here: np.ndarray, regularization: float
 ) -> np.ndarray:
-    """Return the unit normals [C,3], at places `here` [C,3], of fits that are linear along the tangent planes.
+    """Fit normals that vary linearly along the tangent planes, and return their values [C,3], unit, at `here` [C,3].
 
-    around [C,V]: weights; table [V,25]: `_moments`; own [C,3]: the normals before the fit; regularization: of its
+    around [C,V]: weights. table [V,25]: `_moments`. own [C,3]: the normals before the fit. regularization: of the
     slopes.
     """
     sums = around @ table
     total = np.maximum(sums[:, :1], 1e-20)
     middle, mean = sums[:, 1:4] / total, sums[:, 4:7] / total
-    # About the middle of what is around, the fit's two parts are apart: the mean, and the slopes from the covariances.
+    # About the weighted centroid, the fit's two parts decouple: the mean, and the slopes from the covariances.
     spread = sums[:, 7:16].reshape(-1, 3, 3) / total[..., None] - middle[:, :, None] * middle[:, None, :]
     changes = sums[:, 16:].reshape(-1, 3, 3) / total[..., None] - middle[:, :, None] * mean[:, None, :]
     tangents = np.linalg.svd(own[:, None, :])[2][:, 1:]

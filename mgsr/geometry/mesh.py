@@ -18,8 +18,8 @@ from mgsr.geometry.raycast import RayCaster
 class Mesh:
     """A triangle mesh.
 
-    vertices [V,3], in any frame and unit; faces [F,3] of vertex indices, counter-clockwise from outside. Neither array
-    may be changed in place: what is derived from them is kept.
+    vertices [V,3]: in any frame and unit. faces [F,3]: vertex indices, counter-clockwise from outside. Neither array
+    may be changed in place, as derived quantities are cached.
     """
 
     vertices: np.ndarray
@@ -27,7 +27,7 @@ class Mesh:
 
     @cached_property
     def face_crosses(self) -> np.ndarray:
-        """Return the face normals [F,3], as long as twice the face's area."""
+        """Return the face normals [F,3], each with the length of twice the face's area."""
         a, b, c = (self.vertices[self.faces[:, corner]] for corner in range(3))
         return np.cross(b - a, c - a)
 
@@ -53,7 +53,7 @@ class Mesh:
 
     @cached_property
     def edge_length(self) -> float:
-        """Return the mean length of the sides of all faces. A side that two faces share counts twice."""
+        """Return the mean length of the faces' sides, in the vertices' unit; a side of two faces counts twice."""
         corners = self.vertices[self.faces]
         return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).mean())
 
@@ -61,8 +61,7 @@ class Mesh:
     def laplacian(self) -> sparse.csr_matrix:
         """Return the uniform Laplacian [V,V].
 
-        A row takes the mean of a vertex's neighbours less the vertex itself. The row of a vertex without neighbours
-        is 0.
+        A row gives the mean of a vertex's neighbours minus the vertex itself. It is 0 for a vertex without neighbours.
         """
         count = len(self.vertices)
         sides = np.concatenate([self._sides, self._sides[:, ::-1]])
@@ -74,7 +73,7 @@ class Mesh:
 
     @cached_property
     def components(self) -> tuple[int, np.ndarray]:
-        """Count the connected components of the faces, and label each face with its own [F].
+        """Return the number of connected components, and each face's component [F].
 
         Faces that share a vertex are connected.
         """
@@ -90,9 +89,9 @@ class Mesh:
         return RayCaster(self.vertices, self.faces)
 
     def prolongation(self, points: np.ndarray) -> sparse.csr_matrix:
-        """Return the matrix [P,V] that interpolates values of the vertices at points [P,3] beside the mesh.
+        """Return the matrix [P,V] that interpolates vertex values at points [P,3] near the mesh.
 
-        Each point takes the barycentric mean at the nearest point of the mesh.
+        Each point takes the value at the nearest point of the mesh, by barycentric interpolation.
         """
         face, shares = self.caster.nearest(points)
         places = (np.repeat(np.arange(len(points)), 3), self.faces[face].ravel())
@@ -100,7 +99,7 @@ class Mesh:
         return sparse.coo_matrix((shares.ravel().astype(np.float64), places), size).tocsr()
 
     def moved(self, vertices: np.ndarray) -> Self:
-        """Return the mesh with its vertices at other places [V,3]."""
+        """Return the mesh with its vertices moved to new positions [V,3]."""
         mesh = replace(self, vertices=vertices)
         mesh.__dict__.update({name: self.__dict__[name] for name in _OF_FACES if name in self.__dict__})
         return mesh
@@ -113,22 +112,22 @@ class Mesh:
         return mesh
 
     def in_frame(self, vertices: np.ndarray) -> Self:
-        """Return the mesh in another frame, scaled and shifted but not turned: its normals stay as they are.
+        """Return the mesh in another frame that is scaled and shifted but not rotated, so its normals stay.
 
-        vertices [V,3]: the vertices in that frame.
+        vertices [V,3]: the vertices in the other frame.
         """
         return self.moved(vertices).with_normals(self.normals)
 
     def keep_faces(self, keep: np.ndarray) -> Mesh:
-        """Return the mesh of the faces where keep [F] is True, without vertices that no face uses then."""
+        """Return the mesh of the faces where keep [F] bool is True, without unused vertices."""
         faces = self.faces[keep]
         used, inverse = np.unique(faces, return_inverse=True)
         return Mesh(self.vertices[used], inverse.reshape(-1, 3))
 
     @property
     def _sides(self) -> np.ndarray:
-        """Return the sides of all faces [3F,2], in the faces' direction."""
+        """Return the sides of all faces as vertex indices [3F,2], in the faces' orientation."""
         return np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]])
 
 
-_OF_FACES = ("edges", "laplacian", "components")  # what does not depend on where the vertices lie
+_OF_FACES = ("edges", "laplacian", "components")  # cached quantities that depend on the faces alone

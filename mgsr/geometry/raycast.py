@@ -19,8 +19,8 @@ NO_FACE = np.iinfo(np.uint32).max
 class RayHits:
     """The first hits of the rays through one camera's pixel centres.
 
-    depth [H,W] float32: camera z, 0 where nothing is hit; normal [H,W,3]: of the face that is hit, world frame, unit,
-    towards the camera, 0 where nothing is hit; face [H,W] uint32: NO_FACE where nothing is hit.
+    depth [H,W] float32: camera z, 0 for a miss. normal [H,W,3]: the unit normal of the hit face in the world frame,
+    towards the camera, 0 for a miss. face [H,W] uint32: the hit face, NO_FACE for a miss.
     """
 
     depth: np.ndarray
@@ -38,8 +38,8 @@ class RayHits:
 class PixelHits:
     """The first hits of rays [...], one or several for a pixel.
 
-    depth [...] float32: camera z, 0 where nothing is hit; face [...] uint32: NO_FACE where nothing is hit; barycentric
-    [...,3] float32: the shares of the face's corners.
+    depth [...] float32: camera z, 0 for a miss. face [...] uint32: the hit face, NO_FACE for a miss. barycentric
+    [...,3] float32: the barycentric coordinates of the hit.
     """
 
     depth: np.ndarray
@@ -54,10 +54,12 @@ class PixelHits:
 
 
 class RayCaster:
-    """A mesh, vertices [V,3] and faces [F,3], prepared for ray casting.
+    """A mesh prepared for ray casting.
 
-    Embree has float32 positions. Where those are too coarse for the vertices, far from their frame's origin, rays are
-    cast about the vertices' middle; what comes and goes is in the vertices' frame.
+    vertices [V,3]: in any frame and unit. faces [F,3]: vertex indices.
+
+    Embree stores positions in float32. If that is too coarse, because the vertices lie far from their frame's origin,
+    rays are cast in a frame about their centre. All arguments and results stay in the vertices' frame.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
@@ -69,7 +71,7 @@ class RayCaster:
         )
 
     def cast(self, camera: Camera) -> RayHits:
-        """Return what `camera` sees, one ray through each pixel's centre."""
+        """Return the first hits of one ray through each pixel's centre of `camera`."""
         directions = pixel_rays(camera)
         origins = np.broadcast_to(self._single(camera.center), directions.shape)
         rays = np.concatenate([origins, directions], axis=-1)
@@ -81,7 +83,10 @@ class RayCaster:
         return RayHits(np.where(hit, depth, 0), np.where(hit[..., None], normal, 0), face)
 
     def cast_pixels(self, camera: Camera, pixels: np.ndarray) -> PixelHits:
-        """Return what `camera` sees at pixel coordinates [...,2] (centres at +0.5), inside its image or not."""
+        """Return the first hits of `camera`'s rays through pixel coordinates [...,2] (centres at +0.5).
+
+        The coordinates may lie outside the image.
+        """
         local = np.ones((*pixels.shape[:-1], 3))
         local[..., :2] = (pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
         directions = local @ camera.cam_from_world[:3, :3]
@@ -99,17 +104,17 @@ class RayCaster:
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the points of the mesh nearest to the points [P,3].
 
-        They are given as a face [P] uint32 and barycentric coordinates [P,3] float32, the shares of its corners.
+        Each is given by its face [P] uint32 and its barycentric coordinates [P,3] float32.
         """
         found = self._scene.compute_closest_points(load_open3d().core.Tensor(self._single(points)))
         return found["primitive_ids"].numpy(), _shares(found["primitive_uvs"].numpy())
 
     def sees(self, camera: Camera, points: np.ndarray, gap: float, valid_mask: np.ndarray | None = None) -> np.ndarray:
-        """Return which of the points [P,3] a camera sees, [P] bool.
+        """Return the visibility [P] bool of points [P,3] in a camera.
 
-        Such points lie inside its image, at valid pixels, with nothing between.
-        valid_mask [H,W] bool: the valid pixels; None: all. Each ray ends `gap` before its point, so that the surface
-        which the point lies on does not hide it.
+        A visible point projects to a valid pixel of the image, and nothing occludes it. gap: the distance before the
+        point at which its ray ends, so that its own surface does not occlude it. valid_mask [H,W] bool: the valid
+        pixels; None: all.
         """
         inside, pixels, _ = camera.project_inside(points)
         if valid_mask is not None:
@@ -119,14 +124,17 @@ class RayCaster:
         return seen
 
     def reached(self, place: np.ndarray, points: np.ndarray, gap: float) -> np.ndarray:
-        """Return which of the points [P,3] are visible from a place [3], the last `gap` of the way apart; [P] bool."""
+        """Return the visibility [P] bool of points [P,3] from a position [3].
+
+        gap: the distance before each point within which nothing occludes it.
+        """
         offsets = points - place
         lengths = np.linalg.norm(offsets, axis=1)
         first = self._scene.cast_rays(_rays(self._single(place), offsets / lengths[:, None]))["t_hit"].numpy()
         return np.asarray(first >= lengths - gap)
 
     def _single(self, positions: np.ndarray) -> np.ndarray:
-        """Convert positions [...,3] of the vertices' frame to float32, in the frame in which rays are cast."""
+        """Convert positions [...,3] from the vertices' frame to the frame of the ray casting, as float32."""
         return np.ascontiguousarray(positions if self._middle is None else positions - self._middle, np.float32)
 
 
@@ -138,7 +146,7 @@ def _rays(origins: np.ndarray, directions: np.ndarray) -> Any:
 
 
 def _shares(uv: np.ndarray) -> np.ndarray:
-    """Return the barycentric coordinates [...,3] of a face's corners from Embree's [...,2] of the second and third."""
+    """Return all three barycentric coordinates [...,3] from Embree's second and third, uv [...,2]."""
     shares = np.empty((*uv.shape[:-1], 3), np.float32)
     shares[..., 1:] = uv
     shares[..., 0] = 1 - uv[..., 0] - uv[..., 1]
@@ -146,9 +154,9 @@ def _shares(uv: np.ndarray) -> np.ndarray:
 
 
 def pixel_rays(camera: Camera) -> np.ndarray:
-    """Return the world directions [H,W,3] float32 of the rays through the pixel centres, with camera z 1.
+    """Return the directions [H,W,3] float32 of the rays through the pixel centres, in the world frame.
 
-    So center + depth * ray is the point at a depth.
+    They have a camera z of 1, so camera.center + depth * ray is the point at a depth.
     """
     x = (np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
     y = (np.arange(camera.height) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]

@@ -1,4 +1,4 @@
-"""Topology of triangle meshes, and selection of their faces."""
+"""Topology of triangle meshes, and removal of degenerate faces and small pieces."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from mgsr.geometry.mesh import Mesh
 
 @dataclass(frozen=True)
 class Topology:
-    """Counts of a mesh: connected components, edges with one face only, and the loops that these form (holes)."""
+    """Counts of a mesh's elements.
+
+    boundary_edges: edges of a single face. holes: the loops that these form.
+    """
 
     vertices: int
     faces: int
@@ -23,7 +26,7 @@ class Topology:
 
 
 def tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two unit vectors, [V,3] each, perpendicular to the unit normals [V,3] and to each other.
+    """Return two unit vectors [V,3] that are perpendicular to the unit normals [V,3] and to each other.
 
     Both are 0 where a normal is 0.
     """
@@ -34,9 +37,9 @@ def tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def boundary_loops(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Return the boundary edges [E,2], in the direction of their one face, and the loop [E] of each.
+    """Return the boundary edges [E,2] as vertex indices, in the orientation of their face, and the loop [E] of each.
 
-    Loops that touch in a vertex count as one.
+    Loops that share a vertex count as one.
     """
     faces = mesh.faces
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
@@ -64,9 +67,9 @@ def drop_degenerate(mesh: Mesh) -> Mesh:
 
 
 def drop_small_pieces(mesh: Mesh, min_area: float) -> Mesh:
-    """Return the mesh without connected components of less than the share `min_area` of the whole area.
+    """Return the mesh without small connected components. The largest one always stays.
 
-    The largest one always stays.
+    min_area: the least area of a component, as a share of the whole mesh's area.
     """
     count, pieces = mesh.components
     areas = np.bincount(pieces, np.linalg.norm(mesh.face_crosses, axis=1), count)

@@ -1,4 +1,4 @@
-"""The cameras, and image sizes, from which the surface is rendered for its extraction."""
+"""The cameras and image sizes for rendering the surface before its extraction."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from mgsr.data.camera import Camera
 
 
 def surface_cameras(train_cameras: Sequence[Camera], config: MeshConfig) -> list[Camera]:
-    """Return the training cameras and config.extra_views more between neighbours, at the size for surface extraction.
+    """Return the training cameras and up to config.extra_views more between neighbours, sized for surface extraction.
 
-    Each is scaled by config.view_scale, or less where all images together would exceed config.max_pixels.
+    Each is scaled by config.view_scale, or by less if all images together would exceed config.max_pixels.
     """
     cameras = [*train_cameras, *between(train_cameras, config.extra_views)]
     pixels = sum(camera.width * camera.height for camera in cameras)
@@ -26,17 +26,17 @@ def surface_cameras(train_cameras: Sequence[Camera], config: MeshConfig) -> list
 
 
 def between(cameras: Sequence[Camera], count: int) -> list[Camera]:
-    """Return `count` cameras, each halfway between two neighbours; the most distant neighbours come first.
+    """Return at most `count` cameras, each halfway between two neighbours; the most distant neighbours come first.
 
-    Halfway: at the mean distance from the scene's centre, turned halfway, with the first one's intrinsics. Fewer are
-    returned where fewer pairs of neighbours exist.
+    A camera halfway has the mean distance from the scene's centre, the interpolated rotation, and the first neighbour's
+    intrinsics.
     """
     pairs = _neighbours(cameras)
     return [_halfway(cameras[first], cameras[second]) for first, second in pairs[:count]]
 
 
 def _neighbours(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
-    """Pair each camera with its three nearest, every pair once, the most distant first, by index."""
+    """Return the pairs of each camera and its three nearest, as indices, without repeats, the most distant first."""
     centers = np.array([camera.center for camera in cameras]).reshape(-1, 3)
     distances = np.linalg.norm(centers[:, None] - centers[None], axis=-1)
     pairs = {
@@ -52,7 +52,7 @@ def _halfway(first: Camera, second: Camera) -> Camera:
     rotation = Slerp([0, 1], rotations)(0.5).as_matrix()
     middle = (first.center + second.center) / 2
     distance = (np.linalg.norm(first.center) + np.linalg.norm(second.center)) / 2
-    if np.linalg.norm(middle) > 0.1 * distance:  # else they face each other, and no direction is between
+    if np.linalg.norm(middle) > 0.1 * distance:  # else the cameras are opposite, and no direction lies between
         middle *= distance / np.linalg.norm(middle)
     pose = np.eye(4)
     pose[:3, :3] = rotation

@@ -1,4 +1,4 @@
-"""Clean-up of a raw surface: pull it into the silhouettes, drop what no camera sees, and orient it."""
+"""Clean-up of a raw surface: pulling it into the silhouettes, dropping unseen parts, and orienting it."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from mgsr.mesh.views import SurfaceView
 
 
 def pull_into_hull(mesh: Mesh, hull: SilhouetteHull, margin: float, reach: float, rounds: int = 3) -> Mesh:
-    """Move vertices outside a silhouette inwards along their normals, and cut off faces that lie too far outside.
+    """Move vertices outside the silhouettes inwards along their normals, and drop faces that lie too far outside.
 
-    A face is cut off where a vertex would have to move by more than `reach`, in the scene's unit. margin: pixels
-    outside a silhouette that are forgiven.
+    margin: the tolerance outside a silhouette, in pixels. reach: the largest move of a vertex, in the scene's unit;
+    faces with a vertex farther outside are dropped.
     """
     excess = hull.excess(mesh.vertices, margin)
     outside = np.flatnonzero((excess > 0) & (excess <= reach))
@@ -29,10 +29,10 @@ def pull_into_hull(mesh: Mesh, hull: SilhouetteHull, margin: float, reach: float
 
 
 def seen_sides(mesh: Mesh, views: Sequence[SurfaceView], gap: float) -> np.ndarray:
-    """Return the side from which a view sees each vertex, [V]: 1 the front, -1 the back, 0 none.
+    """Return the side [V] from which a view sees each vertex: 1 for the front, -1 for the back, 0 for unseen.
 
-    By ray casting. The first view that sees a vertex, at a pixel that its mask does not leave out, decides. What lies
-    within `gap` before a vertex does not hide it.
+    Visibility comes from ray casting. The first view that sees a vertex at a pixel inside its mask decides. gap: the
+    distance before a vertex, in the scene's unit, within which nothing occludes it.
     """
     vertices, normals, caster = mesh.vertices, mesh.normals, mesh.caster
     sides, open_ = np.zeros(len(vertices), np.int8), np.arange(len(vertices))
@@ -45,7 +45,7 @@ def seen_sides(mesh: Mesh, views: Sequence[SurfaceView], gap: float) -> np.ndarr
 
 
 def _farthest_first(views: Sequence[SurfaceView]) -> list[SurfaceView]:
-    """Order the views so that each is as far as can be from those before it: the first few see most of the surface."""
+    """Order the views by farthest-point sampling of their centres, so that the first few see most of the surface."""
     centers = np.array([view.camera.center for view in views])
     order, nearest = [0], np.linalg.norm(centers - centers[0], axis=1)
     nearest[0] = -1
@@ -57,9 +57,9 @@ def _farthest_first(views: Sequence[SurfaceView]) -> list[SurfaceView]:
 
 
 def turn_outwards(mesh: Mesh, sides: np.ndarray) -> Mesh:
-    """Return the mesh with every piece turned round whose vertices are mostly seen from the back.
+    """Flip the pieces whose vertices are mostly seen from the back.
 
-    sides [V]: as of `seen_sides`.
+    sides [V]: the result of `seen_sides`.
     """
     count, pieces = mesh.components
     votes = np.bincount(pieces, sides[mesh.faces].sum(1), count)
@@ -67,9 +67,10 @@ def turn_outwards(mesh: Mesh, sides: np.ndarray) -> Mesh:
 
 
 def drop_unseen(mesh: Mesh, seen: np.ndarray, whole_pieces: bool) -> Mesh:
-    """Return the mesh without what no camera sees (seen [V] bool): floaters' insides, inner shells, invented caps.
+    """Drop the parts that no camera sees, such as inner shells and caps over gaps in the data.
 
-    whole_pieces: keep every face of a piece that is seen somewhere, so that closed surfaces stay closed.
+    seen [V] bool: the visible vertices. whole_pieces: keep every face of a piece with a visible vertex, so that closed
+    surfaces stay closed.
     """
     if whole_pieces:
         count, pieces = mesh.components
@@ -80,14 +81,14 @@ def drop_unseen(mesh: Mesh, seen: np.ndarray, whole_pieces: bool) -> Mesh:
 
 
 def _grown(marked: np.ndarray, mesh: Mesh) -> np.ndarray:
-    """Return the marked vertices [V] and their neighbours: creases hide single vertices of a surface that is seen."""
+    """Mark the neighbours of marked vertices [V] bool too, as creases hide single vertices of a visible surface."""
     grown = marked.copy()
     grown[mesh.faces[marked[mesh.faces].any(1)]] = True
     return grown
 
 
 def close_loops(mesh: Mesh) -> Mesh:
-    """Return the mesh with every boundary loop closed by a fan of faces around the loop's middle."""
+    """Close every boundary loop by a fan of faces around the loop's centroid."""
     boundary, loops = boundary_loops(mesh)
     if len(boundary) == 0:
         return mesh

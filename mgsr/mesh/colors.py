@@ -1,4 +1,4 @@
-"""Vertex colours of a surface, from the views that see it."""
+"""Vertex colours of a surface, blended from the views that see it."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.views import SurfaceView, nearest, project, sample
 from mgsr.parallel import map_ahead
 
-COLOR_DEVIATION = 0.1  # a colour this far from the others' mean counts half
-ROUNDS = 2
-TOLERANCE = 3.0  # footprints, where views are not held against each other
+COLOR_DEVIATION = 0.1  # sRGB 0..1; a colour this far from the mean counts half
+ROUNDS = 2  # of reweighting
+TOLERANCE = 3.0  # pixel footprints; the depth tolerance if the views' consistency is not checked
 
 
 def vertex_colors(
@@ -24,9 +24,9 @@ def vertex_colors(
     tolerance: float,
     threads: int | None = None,
 ) -> np.ndarray:
-    """Return vertex colours [V,3] float32 0..1 (`seen_colors`).
+    """Return vertex colours [V,3] float32 sRGB 0..1 (`seen_colors`).
 
-    A vertex that no view shows takes the colour of its nearest neighbour that one shows.
+    A vertex that no view shows takes the colour of the nearest visible vertex.
     """
     vertices = mesh.vertices
     colors, seen = seen_colors(vertices, mesh.normals, views, min_alpha, tolerance, threads)
@@ -45,9 +45,9 @@ def seen_colors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Blend the colours of surface points from the views that show them.
 
-    points, normals [P,3]: the latter unit. Returns colours [P,3] float32 0..1, and which points any view shows, [P]
-    bool. A colour is a weighted mean: head-on views count more, and colours far from the others' mean count less. A
-    view shows a point that faces it and lies within `tolerance` pixel footprints of its depth.
+    points [P,3]: in the scene's frame. normals [P,3]: unit. A view shows a point that faces it and lies within
+    `tolerance` pixel footprints of its depth. Returns colours [P,3] float32 sRGB 0..1, and which points any view shows,
+    [P] bool. A colour is a weighted mean: head-on views count more, and colours far from the mean count less.
     """
     samples = list(map_ahead(lambda view: _view_colors(points, normals, view, min_alpha, tolerance), views, threads))
     mean, total = _blend(samples, len(points), None)
@@ -58,7 +58,7 @@ def seen_colors(
 
 @dataclass(frozen=True)
 class _ViewColors:
-    """What one view shows: the indices [Q] of the points, their colors [Q,3] and weights [Q]."""
+    """The points that one view shows: their indices [Q], colors [Q,3] sRGB 0..1, and weights [Q]."""
 
     index: np.ndarray
     colors: np.ndarray
@@ -68,6 +68,7 @@ class _ViewColors:
 def _view_colors(
     vertices: np.ndarray, normals: np.ndarray, view: SurfaceView, min_alpha: float, tolerance: float
 ) -> _ViewColors:
+    """Return the colours of the vertices [V,3] with unit normals [V,3] that a view shows."""
     index, pixels, depths = project(view.camera, vertices)
     to_camera = view.camera.center.astype(np.float32) - vertices[index].astype(np.float32)
     cosines = (to_camera * normals[index]).sum(1) / np.linalg.norm(to_camera, axis=1)
@@ -78,9 +79,9 @@ def _view_colors(
 
 
 def _blend(samples: Sequence[_ViewColors], count: int, around: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return weighted mean colours [V,3] and the sums of the weights [V]; `around` [V,3] is where colours should lie.
+    """Return the weighted mean colours [V,3] and the sums of the weights [V].
 
-    Colours far from `around` lose weight; None: all keep theirs.
+    around [V,3]: the mean of the previous round; colours far from it lose weight. None: all keep their weights.
     """
     sums, total = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
     for shown in samples:

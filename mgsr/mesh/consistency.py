@@ -1,7 +1,7 @@
 """Multi-view consistency of points, and the visual hull.
 
-Points that other views see through, or that lie outside a silhouette, are found, and the rest move to the surface that
-the views agree on.
+Points that other views see through, or that lie outside a silhouette, are inconsistent. The others move to the surface
+on which the views agree.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from mgsr.mesh.points import OrientedPoints
 from mgsr.mesh.views import SurfaceView, nearest, project, sample
 from mgsr.parallel import map_ahead
 
-REACH = 2.0  # noise of the depth must find its mean, but not a neighbouring surface
+REACH = 2.0  # times the tolerance within which a view confirms a point: spans the depth noise, but no other surface
 
 
 @dataclass(frozen=True)
 class Agreement:
     """The result of comparing points with all views.
 
-    moved: OrientedPoints [P] on the surface that the confirming views see; agreed [P] bool: not more views contradict
-    the point than confirm it.
+    moved: the points [P] on the mean surface of the confirming views. agreed [P] bool: at most one view contradicts the
+    point, or no more than confirm it.
     """
 
     moved: OrientedPoints
@@ -42,15 +42,14 @@ def compare_views(
 ) -> Agreement:
     """Compare points with every view, and move them to the surface on which the confirming views agree.
 
-    A view contradicts a point when it sees something more than `tolerance` pixel footprints behind it (more where the
-    surface is slanted), or nothing, at the point's pixel and all around it. It confirms a point that faces it and lies
-    within REACH times as much of its surface. A view that sees something in front of the point is silent, and so are
-    pixels that its mask leaves out.
+    A view contradicts a point if all 3x3 pixels around the point show a surface more than `tolerance` pixel footprints
+    behind it, or none. The limit is larger where the surface is slanted. A view confirms a point that faces it and lies
+    within REACH times that limit of its surface. A view is silent about points that its surface or its mask hides.
 
-    Confirming views move the point along its normal to their mean surface and turn the normal to their mean. As a
-    view's weight fades out smoothly where it ends, neighbouring points are averaged over nearly the same views, and
-    what the views' depths differ by does not become noise on the surface. For the same end, pixels count here down to
-    half the rules' least cosine, with little weight.
+    Confirming views move the point along its normal to their mean surface, and turn its normal to their mean normal. A
+    view's weight falls smoothly to 0 at its border, so neighbouring points are averaged over nearly the same views, and
+    differences between the views' depths do not become noise on the surface. For the same reason, pixels count here
+    down to half of rules.min_cos, with little weight.
     """
     rules = replace(rules, min_cos=rules.min_cos / 2)
     count = len(points)
@@ -66,6 +65,7 @@ def compare_views(
 
 
 def _moved(points: OrientedPoints, sums: np.ndarray) -> OrientedPoints:
+    """Move points by the sums [P,5] of weight, weighted offset along the normal, and weighted normal."""
     offsets = sums[:, 1] / np.maximum(sums[:, 0], 1e-9)
     turned = np.where(sums[:, :1] > 0, sums[:, 2:], points.normals)
     lengths = np.linalg.norm(turned, axis=1, keepdims=True)
@@ -75,11 +75,11 @@ def _moved(points: OrientedPoints, sums: np.ndarray) -> OrientedPoints:
 
 @dataclass(frozen=True)
 class _Verdict:
-    """What one view says of the points.
+    """One view's verdict on the points.
 
-    contradicted: the indices of those that it contradicts; confirmed [Q]: of those that it confirms; weights [Q]: of
-    its word about the latter; offsets [Q]: how far along their normals its surface lies; normals [Q,3]: of that
-    surface.
+    contradicted [R]: the indices of the points that it contradicts. confirmed [Q]: the indices of those that it
+    confirms, with weights [Q]. offsets [Q]: the distances to the view's surface along the points' normals, in the
+    scene's unit. normals [Q,3]: the weighted normals of that surface.
     """
 
     contradicted: np.ndarray
@@ -93,16 +93,16 @@ def _verdict(points: OrientedPoints, view: SurfaceView, rules: PixelRules, toler
     camera = view.camera
     index, pixels, depths = project(camera, points.positions)
     rays = (points.positions[index] - camera.center.astype(np.float32)) / depths[:, None]
-    slants = (rays * points.normals[index]).sum(1)  # of a ray with camera z 1 against the point's normal
+    slants = (rays * points.normals[index]).sum(1)  # component of a ray with camera z 1 along the point's normal
     cosines = -slants / np.sqrt((rays * rays).sum(1))
     limit = tolerance * depths / np.float32(camera.K[0, 0]) / np.maximum(np.abs(cosines), 0.3)
     depth = np.where(view.usable(rules.min_alpha), view.depth, np.inf)
     if view.mask is not None:
-        depth = np.where(view.mask, depth, 0)  # nearer than any point: such pixels are silent
-    # The nearest of the 3x3 pixels around: a point at a silhouette is not contradicted by what lies past it.
+        depth = np.where(view.mask, depth, 0)  # nearer than any point, so the view is silent there
+    # The nearest of the 3x3 pixels around, so that the background does not contradict a point at a silhouette.
     contradicted = index[nearest(minimum_filter(depth, size=3), pixels) - depths > limit]
     limit = REACH * limit
-    # Only what may be confirmed is worth the interpolation, which finds a slanted surface a little off its pixel's.
+    # Interpolation is slow, so it is limited to candidates. It may shift a slanted surface, hence the factor 2.
     near = (cosines > rules.min_cos / 2) & (np.abs(nearest(depth, pixels) - depths) < 2 * limit)
     seen = sample(_weighted_surface(view, rules), pixels[near])
     gaps = seen[:, 1] / np.maximum(seen[:, 0], 1e-6) - depths[near]
@@ -113,29 +113,29 @@ def _verdict(points: OrientedPoints, view: SurfaceView, rules: PixelRules, toler
 
 
 def _weighted_surface(view: SurfaceView, rules: PixelRules) -> np.ndarray:
-    """Return a view's weights, weighted depths and weighted normals in one image [H,W,5].
+    """Return a view's weights, weighted depths and weighted normals as one image [H,W,5].
 
-    A pixel's weight falls to zero at the rules' least cosine.
+    A pixel's weight falls to 0 at rules.min_cos.
     """
     pixels = surface_pixels(view, rules)
     weights = np.where(pixels.believed, pixels.cosines - rules.min_cos, 0)[..., None]
     values = np.concatenate([np.ones_like(weights), view.depth[..., None], pixels.normals], axis=-1)
-    # Not a product alone: what is not believed may be no number.
+    # A product alone would keep the NaNs of pixels without weight.
     return np.where(weights > 0, values * weights, 0)
 
 
 class SilhouetteHull:
-    """The visual hull: the space that all silhouettes allow."""
+    """The visual hull: the space inside all silhouettes."""
 
     def __init__(self, silhouettes: Sequence[Silhouette]) -> None:
         self._cameras = [silhouette.camera for silhouette in silhouettes]
         self._outside = [_outside(silhouette) for silhouette in silhouettes]
 
     def excess(self, points: np.ndarray, margin: float) -> np.ndarray:
-        """Return how far [P] the points [P,3] must at least move to come within `margin` pixels of every silhouette.
+        """Return a lower bound [P] of the distance of points [P,3] to the hull, in the scene's unit; 0 inside.
 
-        Only silhouettes count that have the point in their image, at a known pixel. The distance is in the scene's
-        unit; 0 for points that are within already.
+        margin: the tolerance outside a silhouette, in pixels. A silhouette counts if the point projects to a valid
+        pixel of its image.
         """
         worst = np.zeros(len(points), np.float32)
         for camera, outside in zip(self._cameras, self._outside, strict=True):
@@ -146,6 +146,6 @@ class SilhouetteHull:
 
 
 def _outside(silhouette: Silhouette) -> np.ndarray:
-    """Return each pixel's distance to the silhouette, in pixels [h,w]; 0 inside it and where nothing is known."""
+    """Return each pixel's distance [h,w] to the silhouette, in pixels; 0 inside it and at invalid pixels."""
     distance = np.maximum(-silhouette.distance, 0)
     return distance if silhouette.valid_mask is None else np.where(silhouette.valid_mask, distance, 0)

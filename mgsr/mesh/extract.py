@@ -40,13 +40,13 @@ def extract_mesh(
 ) -> ReconstructedMesh:
     """Extract the surface that the views show, in their frame, and finish it in steps (`mgsr.mesh.steps`).
 
-    silhouettes: the training photographs' masks, if the scene has them; nothing of the mesh then lies outside them, and
-    its contours fall on theirs. photographs: the training views, which refine the mesh. threads: cores to use; None is
-    all of them. go_on: whether there is time for another round of refinement. start: the surface that training began
-    on, which replaces the views' where the photographs clearly speak for it; it is fitted to the views' where theirs is
-    torn.
+    silhouettes: of the training photographs' masks, if the scene has masks; the mesh then lies inside them, and its
+    contours coincide with theirs. photographs: the training views, which refine the mesh. threads: the cores to use;
+    None: all. go_on: returns whether there is time for another round of refinement. start: the surface on which
+    training began. It replaces the trained surface if the photographs clearly prefer it. If the trained surface is
+    torn, `start` fitted to the views replaces it.
 
-    Raises MeshError, with the reason, where no surface comes out.
+    Raises MeshError, with the reason, if there is no surface.
     """
     footprint = median_footprint(views, config.min_alpha)
     if footprint is None:
@@ -67,7 +67,7 @@ def extract_mesh(
 def take_steps(
     mesh: Mesh, context: StepContext, steps: Sequence[MeshStep]
 ) -> tuple[Mesh, LightEstimate, dict[str, StepReport]]:
-    """Take those of the steps that apply, and return the mesh, the light, and each step's report by its name."""
+    """Run the steps that apply; return the mesh, the light estimate, and the steps' reports by name."""
     light, reports = LightEstimate(), {}
     for step in steps:
         if step.applies(context, light):
@@ -79,7 +79,10 @@ def take_steps(
 
 
 def _better_start(start: Mesh, trained: Mesh, context: StepContext) -> Mesh | None:
-    """Return the surface that training began on, fitted to the views if need be; None where the trained one is kept."""
+    """Return the surface on which training began if it is better; it is fitted to the views if the trained one is torn.
+
+    Returns None if the trained surface stays.
+    """
     photos, config = context.photos, context.config
     if not photos.views or not len(trained.faces):
         return None
@@ -89,7 +92,7 @@ def _better_start(start: Mesh, trained: Mesh, context: StepContext) -> Mesh | No
 
 
 def _tolerance(config: MeshConfig) -> float:
-    """Return the pixel footprints by which views may differ about a place."""
+    """Return the depth tolerance between views, in pixel footprints."""
     return config.consistency or TOLERANCE
 
 
@@ -113,7 +116,7 @@ def _by_poisson(context: StepContext) -> Mesh:
 
 
 def _extent(views: Sequence[SurfaceView], config: MeshConfig) -> float:
-    """Return the longest side of the box that holds the surface, without the outermost 0.1% at each end."""
+    """Return the longest side of the surface's bounding box, in the scene's unit, without 0.1% outliers at each end."""
     points_of_views = [back_project(view)[::4, ::4][view.usable(config.min_alpha)[::4, ::4]] for view in views]
     points = np.concatenate(points_of_views)
     if config.radius is not None:

@@ -1,4 +1,4 @@
-"""The rendered pixels that are believed, and their places in space."""
+"""Selection of reliable rendered pixels, and their back-projection."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from mgsr.mesh.views import SurfaceView
 
 @dataclass(frozen=True)
 class PixelRules:
-    """The rules by which a pixel is believed.
+    """Conditions that a reliable pixel meets.
 
-    Its alpha is at least min_alpha, it is seen under a cosine of at least min_cos, it lies no farther than max_jump
-    footprints off any neighbour's tangent plane, and within `radius` of the scene's centre.
+    min_alpha: least alpha. min_cos: least cosine between normal and view direction. max_jump: largest distance of a
+    neighbour from the pixel's tangent plane, in pixel footprints; None: any. radius: largest distance from the scene's
+    centre, in its unit; None: any.
     """
 
     min_alpha: float
@@ -27,10 +28,10 @@ class PixelRules:
 
 @dataclass(frozen=True)
 class SurfacePixels:
-    """A view in space.
+    """A view's pixels, back-projected to the surface.
 
-    positions [H,W,3] and unit normals [H,W,3] in the scene's frame, cosines [H,W] between normal and ray, believed
-    [H,W] bool; the first three mean nothing where it is False.
+    positions [H,W,3]: in the scene's frame. normals [H,W,3]: unit, in the scene's frame. cosines [H,W]: between the
+    normal and the view direction. believed [H,W] bool: the reliable pixels; the other arrays are undefined elsewhere.
     """
 
     positions: np.ndarray
@@ -40,7 +41,7 @@ class SurfacePixels:
 
 
 def surface_pixels(view: SurfaceView, rules: PixelRules) -> SurfacePixels:
-    """Back-project a view's pixels, and judge by the rules which of them to believe."""
+    """Back-project a view's pixels, and select the reliable ones by the rules."""
     rays = pixel_rays(view.camera)
     normals = view.normal / np.maximum(_lengths(view.normal), 1e-9)[..., None]
     cosines = -np.einsum("hwc,hwc->hw", normals, rays) / _lengths(rays)
@@ -55,9 +56,9 @@ def surface_pixels(view: SurfaceView, rules: PixelRules) -> SurfacePixels:
 
 
 def back_project(view: SurfaceView, rays: np.ndarray | None = None) -> np.ndarray:
-    """Return the points [H,W,3] at each pixel's depth, in the scene's frame.
+    """Return the point [H,W,3] at each pixel's depth, in the scene's frame.
 
-    rays: as of `pixel_rays`, if they are known already.
+    rays [H,W,3]: the result of `pixel_rays` for the camera; computed if None.
     """
     rays = pixel_rays(view.camera) if rays is None else rays
     points: np.ndarray = view.camera.center.astype(np.float32) + rays * view.depth[..., None]
@@ -65,15 +66,15 @@ def back_project(view: SurfaceView, rays: np.ndarray | None = None) -> np.ndarra
 
 
 def footprint(view: SurfaceView) -> np.ndarray:
-    """Return the size [H,W] of a pixel on the surface it shows, in the scene's unit."""
+    """Return the footprint [H,W] of each pixel: its size on the surface that it shows, in the scene's unit."""
     sizes: np.ndarray = view.depth / np.sqrt(view.camera.K[0, 0] * view.camera.K[1, 1]).astype(np.float32)
     return sizes
 
 
 def median_footprint(views: Sequence[SurfaceView], min_alpha: float) -> float | None:
-    """Return the median pixel footprint on the surface; None where no view shows any surface.
+    """Return the median pixel footprint, in the scene's unit; None if no view shows a surface.
 
-    It is the median over the views of each view's median, in the scene's unit.
+    It is the median over the views of each view's median.
     """
     medians = [np.median(footprint(view)[usable]) for view in views if (usable := view.usable(min_alpha)).any()]
     return float(np.median(medians)) if medians else None
@@ -94,9 +95,10 @@ _NEIGHBOURS = [
 
 
 def _on_edge(usable: np.ndarray, positions: np.ndarray, normals: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Return the pixels [H,W] bool at an edge, where splats of both sides are blended.
+    """Return the pixels [H,W] bool at a depth edge, where splats of both sides blend.
 
-    Such a pixel has a neighbour that is empty or lies more than `limit` [H,W] off its tangent plane.
+    Such a pixel has a neighbour that is not usable, or that lies more than `limit` off the pixel's tangent plane.
+    usable [H,W] bool. positions [H,W,3], normals [H,W,3]: in the scene's frame. limit [H,W]: in the scene's unit.
     """
     edge = np.zeros(usable.shape, bool)
     for here, there in _NEIGHBOURS:

@@ -1,4 +1,4 @@
-"""Rendered views as one cloud of oriented points, thinned by averaging in cells."""
+"""One cloud of oriented points from all rendered views, thinned by averaging in cells."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class OrientedPoints:
         return len(self.positions)
 
     def where(self, keep: np.ndarray) -> OrientedPoints:
-        """Return the points where keep [P] is True."""
+        """Return the points where keep [P] bool is True."""
         return OrientedPoints(self.positions[keep], self.normals[keep])
 
 
@@ -31,9 +31,9 @@ class OrientedPoints:
 class CellSums:
     """Weighted sums of points in cubic cells.
 
-    keys [R] int64, ascending; sums [R,7]: of weight * position, weight * normal, weight. A cell's six main directions
-    of normals have a key each: which of them are the two sides of a thin wall, and must not be averaged, shows only
-    when all is gathered.
+    keys [R]: int64, ascending. sums [R,7]: of weight * position, weight * normal, and weight. Normals along the six
+    axis directions have separate keys in a cell. Only the merged sums show which directions belong to opposite sides of
+    a thin wall and must not be averaged.
     """
 
     keys: np.ndarray
@@ -41,7 +41,7 @@ class CellSums:
 
     @staticmethod
     def of(points: OrientedPoints, weights: np.ndarray, cell: float) -> CellSums:
-        """Sum points with weights [P] in cells of the given size."""
+        """Sum points with weights [P] in cubic cells; cell: their side, in the scene's unit."""
         columns = np.concatenate([points.positions, points.normals, np.ones_like(points.positions[:, :1])], axis=1)
         return CellSums(*_sum_by_key(_cell_keys(points, cell), columns * weights[:, None]))
 
@@ -52,13 +52,13 @@ class CellSums:
         return CellSums(*_sum_by_key(np.concatenate(keys), np.concatenate(sums)))
 
     def mean(self) -> OrientedPoints:
-        """Return each cell's weighted mean, and a second point where normals oppose the heaviest direction's."""
+        """Return each cell's weighted mean, and a second point for normals that oppose the heaviest direction."""
         _, sums = _sum_by_key(self.keys // 6 * 2 + self._opposed(), self.sums)
         lengths = np.linalg.norm(sums[:, 3:6], axis=1, keepdims=True)
         return OrientedPoints(sums[:, :3] / sums[:, 6:], sums[:, 3:6] / np.maximum(lengths, 1e-12))
 
     def _opposed(self) -> np.ndarray:
-        """Return which sums' normals are opposed to the heaviest direction's of their cell, [R] bool."""
+        """Return which sums [R] bool have a normal that opposes the heaviest direction of their cell."""
         cells = self.keys // 6
         order = np.lexsort([-self.sums[:, 6], cells])
         first, inverse = np.unique(cells, return_inverse=True)
@@ -68,6 +68,7 @@ class CellSums:
 
 
 def _cell_keys(points: OrientedPoints, cell: float) -> np.ndarray:
+    """Return each point's key [P] int64: its cell, and the axis direction closest to its normal."""
     # 20 bits an axis reach half a million cells each way; beyond that, points share the outermost cells.
     cells = np.clip(np.floor(points.positions / cell).astype(np.int64) + (1 << 19), 0, (1 << 20) - 1)
     axis = np.abs(points.normals).argmax(1)
@@ -78,7 +79,7 @@ def _cell_keys(points: OrientedPoints, cell: float) -> np.ndarray:
 
 
 def _sum_by_key(keys: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distinct keys, ascending, and the sums of their rows."""
+    """Sum rows [P,D] with equal keys [P]; return the distinct keys [R], ascending, and the sums [R,D]."""
     if len(keys) == 0:
         return keys, rows
     order = np.argsort(keys, kind="stable")
@@ -90,7 +91,10 @@ def _sum_by_key(keys: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndar
 def gather_points(
     views: Sequence[SurfaceView], cell: float, rules: PixelRules, threads: int | None = None
 ) -> OrientedPoints:
-    """Average all views' believed points in cells of the given size; what is seen head-on counts more."""
+    """Average the reliable points of all views in cubic cells; points seen head-on weigh more.
+
+    cell: the cells' side, in the scene's unit.
+    """
 
     def sums_of(view: SurfaceView) -> CellSums:
         pixels = surface_pixels(view, rules)

@@ -9,7 +9,7 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.points import OrientedPoints
 from mgsr.open3d_library import load_open3d
 
-MARGIN = 1.1  # the octree's cube against the points' box
+MARGIN = 1.1  # side of the octree's cube, relative to the points' bounding box
 
 
 def cell_size(extent: float, depth: int) -> float:
@@ -19,9 +19,9 @@ def cell_size(extent: float, depth: int) -> float:
 
 
 def poisson_surface(points: OrientedPoints, depth: int) -> Mesh:
-    """Reconstruct the closed surface.
+    """Reconstruct the closed surface of oriented points, in their frame; depth: the octree's levels.
 
-    It runs on one thread: on several its sums come in another order each time, and so do its vertices.
+    It runs on one thread, as several would sum in a different order each time and change the vertices.
 
     Source: Kazhdan and Hoppe, Screened Poisson Surface Reconstruction (Open3D's build of the authors' code).
     """
@@ -36,6 +36,6 @@ def poisson_surface(points: OrientedPoints, depth: int) -> Mesh:
 
 
 def trim_unsupported(mesh: Mesh, points: OrientedPoints, reach: float) -> Mesh:
-    """Return the mesh without the faces that Poisson put where no point is within `reach`."""
+    """Drop the faces that have a vertex farther than `reach`, in the scene's unit, from all points."""
     near = np.isfinite(cKDTree(points.positions).query(mesh.vertices, distance_upper_bound=reach, workers=-1)[0])
     return mesh.keep_faces(near[mesh.faces].all(1))

@@ -1,4 +1,4 @@
-"""The meshes that a run makes: with vertex colours, and with a texture."""
+"""The meshes of a run: with vertex colours, and with a texture."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from mgsr.shading.light_estimate import LightKind
 
 @dataclass(frozen=True, eq=False)
 class TexturedMesh(Mesh):
-    """A mesh with a texture, whose vertices come once for each chart of the texture that they lie on.
+    """A mesh with a texture. A vertex on several charts of the texture is repeated for each.
 
-    uvs [V,2] float32, 0..1 from the texture's upper left corner; picture [S,S,3] uint8 sRGB: the texture.
+    uvs [V,2]: float32 texture coordinates, 0..1 from the upper left corner. picture [S,S,3]: the texture, uint8 sRGB.
     """
 
     uvs: np.ndarray
@@ -27,10 +27,9 @@ class TexturedMesh(Mesh):
 class ReconstructedMesh(Mesh):
     """The mesh of a run, with vertex colours.
 
-    vertices are float64, faces int64 and outward; colors [V,3] float32 sRGB 0..1; light: the light of the photographs,
-    as far as they tell; start_kept: whether it is the surface that training began on, as the photographs speak for it;
-    steps: what each step of its finishing did, by name; textured: the same surface with a texture, where one was asked
-    for.
+    vertices are float64, and faces int64 and outward. colors [V,3]: float32 sRGB 0..1. light: the kind of light in the
+    photographs. start_kept: whether the surface on which training began replaced the trained one. steps: the reports of
+    the finishing steps, by name. textured: the same surface with a texture, None unless requested.
     """
 
     colors: np.ndarray
@@ -40,6 +39,6 @@ class ReconstructedMesh(Mesh):
     textured: TexturedMesh | None = None
 
     def with_report(self, light: LightKind, start_kept: bool, steps: Mapping[str, StepReport]) -> ReconstructedMesh:
-        """Return the mesh with what a report says of how it was made."""
+        """Return the mesh with the given light, choice of surface and step reports."""
         mesh = replace(self, light=light, start_kept=start_kept, steps=steps)
         return mesh.with_normals(self.normals)

@@ -1,7 +1,7 @@
-"""The choice between the trained surface and the one that training began on.
+"""The choice between the trained surface and the surface on which training began.
 
-A surface that is right lets the photographs agree about what lies on it, or, where it mirrors what surrounds it, lets
-one environment map explain them. Training has no such check of its own: dents that imitate reflections cost it nothing.
+On a correct surface the photographs are consistent or, if it mirrors its surroundings, one environment map explains
+them. Training does not enforce this: dents that imitate reflections have no cost.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from mgsr.shading.photo_set import PhotoSet
 from mgsr.stereo.photo_consistency import photo_consistency
 from mgsr.stereo.photographs import stereo_photographs
 
-CLEARLY = 0.95  # of what they leave on the trained surface, at or under which the start is better
-TEARS = 40  # holes and handles, the latter counted twice; a torn surface has hundreds, others few
-BETTER = 0.02  # of correlation by which the start must exceed the trained surface
+CLEARLY = 0.95  # the start is better if its environment residual is at most this share of the trained surface's
+TEARS = 40  # boundary loops plus twice the handles; a torn surface has hundreds, others have few
+BETTER = 0.02  # photo-consistency by which the start must exceed the trained surface
 
 
 def is_torn(trained: Mesh, start: Mesh) -> bool:
-    """Return whether the trained surface has TEARS more holes and handles than the one that training began on.
+    """Return whether the trained surface has over TEARS more holes and handles than the surface at the start.
 
-    Where sheets are thinner than the cells of its extraction, it is torn into hundreds.
+    Extraction leaves hundreds of them in sheets that are thinner than its cells.
     """
     return _openings(trained) > _openings(start) + TEARS
 
 
 def _openings(mesh: Mesh) -> int:
-    """Return the number of boundary loops and twice that of handles, by Euler's formula."""
+    """Return the number of boundary loops plus twice the number of handles, by Euler's formula."""
     return 2 * mesh.components[0] - (len(np.unique(mesh.faces)) - len(mesh.edges) + len(mesh.faces))
 
 
 def photographs_prefer_start(start: Mesh, trained: Mesh, photos: PhotoSet) -> bool:
-    """Return whether the photographs speak clearly for the surface that training began on.
+    """Return whether the photographs clearly prefer the surface on which training began.
 
     start, trained: in the scene's frame.
     """

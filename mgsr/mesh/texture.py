@@ -1,4 +1,4 @@
-"""Texturing of the mesh in place of vertex colours: the surface is unfolded by xatlas and painted from the views."""
+"""Texturing of the mesh: xatlas unfolds the surface, and the views give the texels' colours."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from mgsr.mesh.colors import TOLERANCE, seen_colors
 from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.mesh.views import SurfaceView
 
-# Texels between two charts. What lies between is filled with the nearest chart's colours, so that neither bilinear
-# reading nor the smaller copies that viewers make mix in a background.
+# Texels between two charts. They take the nearest chart's colours, so that neither bilinear sampling nor mipmaps mix in
+# a background.
 _PADDING = 4
-# Views are read for so many texels at a time: each keeps its colours until all have been seen.
+# Texels in a batch, to bound the memory for all views' samples.
 _TEXELS_AT_ONCE = 1 << 19
 _ROWS_AT_ONCE = 256
-# Footprints by which the depths of a pixel and its neighbours may differ; more is an edge with something else behind.
+# Pixel footprints by which the depths around a pixel may differ; more is an occlusion edge.
 _EDGE = 10.0
 
 
 def require_unfolding() -> None:
-    """Check that xatlas, which an extra brings, is installed, so that a run fails before it trains.
+    """Check that the optional package xatlas is installed, so that a run fails before training.
 
-    Raises MeshError where it is not.
+    Raises MeshError if it is not.
     """
     if find_spec("xatlas") is None:
         raise MeshError("output.texture: unfolding the surface needs the package xatlas: pip install 'mgsr[worker]'")
@@ -45,13 +45,13 @@ def texture_mesh(
     config: MeshConfig,
     threads: int | None = None,
 ) -> TexturedMesh:
-    """Reduce the mesh to `max_faces`, and paint a texture of side x side texels for it.
+    """Reduce the mesh to `max_faces`, and compute its texture of side x side texels.
 
-    Each texel takes the mean of the views that see its place as `seen_colors` tells, with one difference: what hides it
-    is found by ray casting the mesh itself, and pixels on the edge of something nearer are left out. What no view sees
-    takes the colours of the mesh's vertices. mesh and views share a frame.
+    mesh, views: in one frame. max_faces: None keeps all faces. Each texel blends the views that see its point, as in
+    `seen_colors`, but visibility comes from ray casting the mesh, and pixels at occlusion edges do not count. A texel
+    that no view sees takes its colour from the mesh's vertices.
 
-    Raises MeshError where xatlas is not installed.
+    Raises MeshError if xatlas is not installed.
     """
     require_unfolding()
     plain = Mesh(mesh.vertices, mesh.faces)
@@ -65,10 +65,10 @@ def texture_mesh(
 
 
 def _unfold(mesh: Mesh, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Unfold the surface into charts laid side by side.
+    """Unfold the surface into texture charts.
 
-    Returns the original vertex of each new one [W], faces [F,3] of new vertices, and the new vertices' texture
-    coordinates [W,2] in 0..1.
+    Returns the original vertex [W] of each new vertex, the faces [F,3] of new vertices, and the new vertices' texture
+    coordinates [W,2], 0..1.
     """
     import xatlas  # late: only textures need it
 
@@ -84,13 +84,14 @@ def _unfold(mesh: Mesh, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _with_depth_of(caster: RayCaster, view: SurfaceView) -> SurfaceView:
-    """Return the view with the mesh's own depth, and without pixels at its edges, which mix two surfaces' colours."""
+    """Replace a view's depth by the mesh's, and mask out pixels at occlusion edges, which mix two colours."""
     hits = caster.cast(view.camera)
     inside = _inside(hits, view)
     return replace(view, depth=hits.depth, mask=inside if view.mask is None else inside & view.mask)
 
 
 def _inside(hits: RayHits, view: SurfaceView) -> np.ndarray:
+    """Return the pixels [H,W] bool that show the surface away from its occlusion edges."""
     around = np.ones((3, 3), np.uint8)
     nearest, farthest = cv2.erode(hits.depth, around), cv2.dilate(hits.depth, around)
     inside: np.ndarray = (nearest > 0) & (farthest - nearest <= _EDGE * hits.depth / view.camera.K[0, 0])
@@ -104,9 +105,9 @@ def _paint(
     config: MeshConfig,
     threads: int | None,
 ) -> np.ndarray:
-    """Paint the texture [S,S,3] uint8.
+    """Return the texture [S,S,3] uint8 sRGB.
 
-    Texels whose middles lie on a chart are painted from the views; the rest take the nearest one's colour.
+    Texels whose centres lie on a chart take their colours from the views; the others take the nearest such texel's.
     """
     side = len(unfolded.picture)
     tolerance = config.consistency or TOLERANCE
@@ -128,21 +129,21 @@ def _paint(
 
 
 class _VertexColors:
-    """The mesh's own colours at any point beside it."""
+    """Interpolation of a mesh's vertex colours."""
 
     def __init__(self, mesh: ReconstructedMesh) -> None:
         self._mesh = mesh
 
     def at(self, points: np.ndarray) -> np.ndarray:
-        """Return the colours [P,3] of the mesh's places nearest to the points [P,3]."""
+        """Return the colours [P,3] sRGB 0..1 of the mesh at its nearest points to the points [P,3]."""
         faces, shares = self._mesh.caster.nearest(points)
         return _blend(self._mesh.colors, self._mesh.faces[faces], shares)
 
 
 def _charted(unfolded: TexturedMesh, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find the texels [T], counted row by row, whose middles lie on a chart, by ray casting the unfolded surface.
+    """Find the texels whose centres lie on a chart, by ray casting the unfolded surface.
 
-    Also returns the face [T] there and the barycentric coordinates [T,3] on it.
+    Returns their flat indices [T] in row order, the face [T] at each, and its barycentric coordinates [T,3] there.
     """
     flat = np.zeros((len(unfolded.uvs), 3), np.float32)
     flat[:, :2] = unfolded.uvs * side
@@ -159,15 +160,15 @@ def _charted(unfolded: TexturedMesh, side: int) -> tuple[np.ndarray, np.ndarray,
 
 
 def _blend(values: np.ndarray, corners: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Interpolate values [V,...] at vertices `corners` [P,3] by their shares [P,3]."""
+    """Interpolate vertex values [V,C] in triangles; corners [P,3]: vertex indices; shares [P,3]: barycentric."""
     blended: np.ndarray = np.einsum("pkc,pk->pc", values[corners], shares)
     return blended
 
 
 def _fill_nearest(picture: np.ndarray, texels: np.ndarray) -> np.ndarray:
-    """Fill every texel but the given ones with the nearest given one's colour.
+    """Fill all other texels of a picture [S,S,3] with the colour of the nearest given texel.
 
-    picture [S,S,3]; texels [T]: counted row by row.
+    texels [T]: flat indices of the given texels, in row order. Returns the picture [S,S,3].
     """
     if len(texels) == 0:
         return picture

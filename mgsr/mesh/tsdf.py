@@ -1,4 +1,4 @@
-"""TSDF fusion: depth maps fused into a truncated signed distance on a sparse grid, as the MGSR paper does."""
+"""TSDF fusion of depth maps on a sparse voxel grid, as in the MGSR paper."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ BLOCK = 16  # voxels along a block's edge
 def tsdf_surface(
     views: Sequence[SurfaceView], voxel: float, truncation: float, min_weight: float, rules: PixelRules
 ) -> Mesh:
-    """Fuse the views' depths, and return the zero surface; it is empty where no surface was seen.
+    """Fuse the views' depth maps, and return the zero level set, in their frame; empty if no view shows a surface.
 
-    voxel: the grid's spacing
-    in the scene's unit; truncation: in voxels; min_weight: in how many views a voxel must have been seen.
+    voxel: the size of a voxel, in the scene's unit. truncation: in voxels. min_weight: the least number of views that
+    see a voxel.
     """
     grid = _empty_grid(voxel)
     for view in views:
@@ -31,7 +31,7 @@ def tsdf_surface(
     try:
         mesh = grid.extract_triangle_mesh(weight_threshold=min_weight).to_legacy()
     except RuntimeError as error:
-        # Where the surface has no vertex, Open3D trips over the colours that it does not have either.
+        # Open3D raises this error for a surface without vertices.
         if "SetVertexColors" not in str(error):
             raise
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))

@@ -1,6 +1,6 @@
-"""A mesh moved to the surface that views show, with its own faces kept.
+"""Registration of a mesh to the surface that rendered views show.
 
-Unlike an extraction from points, it keeps both sides of a sheet that is thinner than the extraction's cells.
+The mesh keeps its faces. So, unlike an extraction from points, both sides of a thin sheet stay.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from mgsr.mesh.pixels import PixelRules
 from mgsr.mesh.points import OrientedPoints
 from mgsr.mesh.views import SurfaceView
 
-PRIOR_WEIGHT = 0.02  # of the place of a vertex that no view confirms, where a view's is 1
-CONFIDENCE = 0.1  # in the normal of such a vertex, where a view's is 1
-MIN_COSINE = 0.3  # between the normals of a vertex and of the views' surface there
+PRIOR_WEIGHT = 0.02  # of the position of a vertex that no view confirms; 1 for others
+CONFIDENCE = 0.1  # in the normal of a vertex without a similar normal in the views; 1 for others
+MIN_COSINE = 0.3  # least cosine between the normals of a vertex and of the views' surface to count as similar
 
 
 def fit_to_views(
     mesh: Mesh, views: Sequence[SurfaceView], rules: PixelRules, tolerance: float, threads: int | None = None
 ) -> Mesh:
-    """Return the mesh moved along its normals to where the views' depths and normals agree.
+    """Move a mesh along its normals to the surface on which the views' depths and normals agree.
 
     rules, tolerance: as for `compare_views`.
     """

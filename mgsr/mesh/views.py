@@ -1,4 +1,4 @@
-"""The input of surface extraction: rendered views of the surface, and how their images are read."""
+"""The input of surface extraction: rendered views of the surface, and sampling of their images."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from mgsr.errors import MeshError
 class SurfaceView:
     """The surface rendered from one camera, float32, in the scene's frame.
 
-    depth [H,W] camera z, 0 where nothing is; normal [H,W,3] world frame, towards the camera, of any length; alpha
-    [H,W] 0..1; color [H,W,3] sRGB 0..1 (the transmitted colour, if no highlights are wanted on the mesh); mask [H,W]
-    bool, False where the pixel must not be used, or None.
+    depth [H,W]: camera z, 0 without surface. normal [H,W,3]: in the world frame, towards the camera, of any length.
+    alpha [H,W]: 0..1. color [H,W,3]: sRGB 0..1; the transmitted colour for a mesh without highlights. mask [H,W] bool:
+    the pixels that may be used; None: all.
 
-    Raises MeshError where an image's size is not the camera's.
+    Raises MeshError if an image's size differs from the camera's.
     """
 
     camera: Camera
@@ -59,9 +59,9 @@ def sample(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 
 
 def project(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Project points [P,3] into a camera's image, and return those that lie in front of it and inside.
+    """Project points [P,3] of the world frame into a camera, and select those in front of it and inside its image.
 
-    Returns their indices [Q], pixel coordinates [Q,2] and camera depths [Q], float32.
+    Returns their indices [Q], pixel coordinates [Q,2] float32, and camera z [Q] float32.
     """
     pose = camera.cam_from_world.astype(np.float32)
     x, y, depths = pose[:3, :3] @ points.T.astype(np.float32, copy=False) + pose[:3, 3:]
@@ -74,7 +74,7 @@ def project(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray,
 
 
 def nearest(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Return the values of image [H,W,...] at the pixels that hold the coordinates [P,2], which must lie inside it."""
+    """Return the values [P,...] of an image [H,W,...] at the pixels that contain coordinates [P,2] inside it."""
     columns, rows = pixels.astype(np.int64).T
     values: np.ndarray = image[rows, columns]
     return values

@@ -1,7 +1,8 @@
-"""The background that a photograph would show without the object, as the other photographs show it.
+"""Image-based rendering of the background behind the object, from the other photographs.
 
-Image-based rendering: a pixel's ray ends on the support plane or on the background's surfels, and the colours that the
-nearest other cameras see at that place are compared. On the plane this holds contact shadows too, which lie still.
+Each pixel's ray ends on the support plane or on the background's surfels. The result is the median of the colours that
+the nearest other cameras see at that place. It includes the object's shadow on the plane, which is the same in all
+photographs.
 """
 
 from __future__ import annotations
@@ -17,15 +18,15 @@ from mgsr.gaussians.surfels import SurfelModel
 from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.support_plane import SupportPlane
 
-NEAREST = 24  # other cameras that are asked, those in the most similar direction first
-SAMPLES = 9  # of the colours that they see, which count
-LEAST_SAMPLES = 2  # fewer tell nothing
-COVERED = 0.3  # opacity from where surfels show a surface
-PLANE_RADIUS = 4.0  # around the scene's centre, in balls, in which the support plane is the background
-PLANE_FIRST = 1.05  # times the plane's distance, up to where surfels behind it count as the plane's
-COLUMNS = 1024  # of the maps by which colours are looked up
-SAME = 1e-6  # distance, in balls, up to where a camera is the one that is asked for
-FAR = 20.0  # distance, in balls, of what has no surface
+NEAREST = 24  # other cameras to sample, the most similar viewing directions first
+SAMPLES = 9  # colours to collect for a pixel
+LEAST_SAMPLES = 2  # with fewer, the background counts as unknown
+COVERED = 0.3  # rendered opacity above which surfels form a surface
+PLANE_RADIUS = 4.0  # ball radii around the scene's centre within which the support plane is visible
+PLANE_FIRST = 1.05  # times the surfels' depth; the plane wins if its depth is less than this
+COLUMNS = 1024  # width of the coordinate maps for cv2.remap
+SAME = 1e-6  # ball radii; cameras closer than this are the same camera
+FAR = 20.0  # ball radii; camera z of a pixel whose ray meets no surface
 
 Window = tuple[slice, slice]
 
@@ -34,8 +35,8 @@ Window = tuple[slice, slice]
 class ExpectedBackground:
     """The background's colours in a window of a photograph.
 
-    color [h,w,3] sRGB 0..1; spread [h,w]: the median difference of the samples from it; known [h,w] bool: whether
-    enough other photographs show it.
+    color [h,w,3]: the median of the samples, sRGB 0..1. spread [h,w]: the median absolute deviation of the samples, in
+    the channel that differs most. known [h,w] bool: whether there are LEAST_SAMPLES samples.
     """
 
     color: np.ndarray
@@ -45,10 +46,10 @@ class ExpectedBackground:
 
 @dataclass(frozen=True)
 class BackgroundSources:
-    """What tells of the background.
+    """The photographs, surfels and support plane from which the background is rendered.
 
-    cameras and images [H,W,3] uint8 sRGB of photographs; clear [H,W] uint8: 255 where each shows background and no
-    object, 0 elsewhere; surfels: those of the background; plane: what the object stands on, if anything.
+    cameras, images: the photographs, [H,W,3] uint8 sRGB. clear [H,W] uint8, for each photograph: 255 where it certainly
+    shows background, else 0. surfels: those of the background. plane: the support plane, None without one.
     """
 
     cameras: Sequence[Camera]
@@ -58,9 +59,9 @@ class BackgroundSources:
     plane: SupportPlane | None
 
     def expected(self, camera: Camera, window: Window, asked: np.ndarray) -> ExpectedBackground:
-        """Return the background of a camera's photograph in a window, without asking that photograph itself.
+        """Render the background in a window of a camera's image, from the other photographs alone.
 
-        asked [h,w] bool: the window's pixels of which it is asked; of the others nothing is known.
+        asked [h,w] bool: the pixels of the window to render. All others are returned as unknown.
         """
         places = self._places(camera, window)[asked]
         colors = np.full((SAMPLES, len(places), 3), np.inf, np.float32)
@@ -86,7 +87,7 @@ class BackgroundSources:
         return found
 
     def _order(self, camera: Camera) -> np.ndarray:
-        """Return the other cameras' indices, those in the most similar direction from the scene's centre first."""
+        """Return the indices [K] of the NEAREST other cameras, by their angle to the camera at the scene's centre."""
         centers = np.stack([camera.center, *(other.center for other in self.cameras)])
         ways = centers / np.maximum(np.linalg.norm(centers, axis=1, keepdims=True), 1e-12)
         itself = np.linalg.norm(centers[1:] - centers[0], axis=1) < SAME
@@ -95,7 +96,7 @@ class BackgroundSources:
         return nearest
 
     def _places(self, camera: Camera, window: Window) -> np.ndarray:
-        """Return where the rays of a window's pixels meet the background, [h,w,3] in the scene's frame."""
+        """Return the background points [h,w,3], in the scene's frame, that the window's pixels show."""
         with torch.no_grad():
             shown = render_surfels(self.surfels, camera, torch.zeros(3), 0)
         depth, alpha = shown.median_depth.numpy()[window], shown.alpha.numpy()[window]
@@ -112,11 +113,14 @@ class BackgroundSources:
         return np.asarray(camera.center + rays * np.where(np.isfinite(depth), depth, FAR)[..., None])
 
     def _seen(self, index: int, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return a photograph's colours [P,3] at places [P,3], and where it shows background there, [P] bool."""
+        """Sample a photograph at points [P,3] of the scene.
+
+        Returns the colours [P,3] sRGB 0..1, and which of the points it shows as background, [P] bool.
+        """
         import cv2  # late: training needs no OpenCV
 
         pixels, depth = self.cameras[index].project(places)
-        pixels = np.where(depth[:, None] > 0, pixels - 0.5, -9)  # behind the camera is outside the image
+        pixels = np.where(depth[:, None] > 0, pixels - 0.5, -9)  # points behind the camera fall outside the image
         # OpenCV takes maps of at most 32,767 rows or columns.
         maps = np.full((-(-len(places) // COLUMNS) * COLUMNS, 2), -9, np.float32)
         maps[: len(places)] = pixels
@@ -127,7 +131,7 @@ class BackgroundSources:
 
 
 def pixel_rays(camera: Camera) -> np.ndarray:
-    """Return the direction [H,W,3] of each pixel's ray in the world frame, as long as a camera z of 1."""
+    """Return each pixel's ray direction [H,W,3] in the world frame, scaled to a camera z of 1."""
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
     local = np.stack([(columns - camera.K[0, 2]) / camera.K[0, 0], (rows - camera.K[1, 2]) / camera.K[1, 1]], axis=-1)
     return np.asarray(np.concatenate([local, np.ones_like(local[..., :1])], axis=-1) @ camera.cam_from_world[:3, :3])

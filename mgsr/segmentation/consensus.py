@@ -1,4 +1,4 @@
-"""Masks that agree with each other: what nearly all views show as the object is the object's in every view."""
+"""A visual hull that tolerates errors in single masks, and the silhouettes of its surface."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ from mgsr.geometry.raycast import RayCaster
 from mgsr.segmentation.support_plane import SupportPlane
 
 RESOLUTION = 128  # voxels along a side
-HALF = 0.6  # of a box's longest side, half the side of the cube that is carved
-SUNK = 1.0  # pixels under the support plane that the object may reach
+HALF = 0.6  # half the side of the carved cube, as a share of the box's longest side
+SUNK = 1.0  # pixels; depth below the support plane at which the hull ends
 
 
 def tolerant_hull(
     masks: Sequence[np.ndarray], cameras: Sequence[Camera], box: np.ndarray, plane: SupportPlane | None, dissent: float
 ) -> Hull:
-    """Return the visual hull of masks of which a share `dissent`, and one at least, may leave out any place.
+    """Carve a visual hull that keeps a place even if a few masks exclude it.
 
-    masks [H,W] 0..1, one for each camera; box [2,3]: corners of a box around the object, in the cameras' frame; plane:
-    what the object stands on, which cuts the hull off.
+    masks [H,W] 0..1, one for each camera. box [2,3]: the least and the largest corner of a box around the object, in
+    the world frame. plane: the support plane, which cuts the hull off. dissent: the share of the masks that may exclude
+    a place; one mask always may.
     """
     outlines = [Silhouette(camera, signed_distance(mask)) for mask, camera in zip(masks, cameras, strict=True)]
     wrong = max(1, int(dissent * len(outlines)))
     hull = carve(outlines, box.mean(axis=0), HALF * float((box[1] - box[0]).max()), RESOLUTION, wrong)
     if plane is None:
         return hull
-    # Heights are linear, so those of the axes add up.
+    # A height is linear in the coordinates, so it is the sum of one term for each axis.
     axes = hull.origin + np.arange(RESOLUTION)[:, None] * hull.voxel
     along = [axes[:, i] * plane.normal[i] for i in range(3)]
     heights = along[0][:, None, None] + along[1][None, :, None] + along[2][None, None, :] + plane.offset
@@ -40,5 +41,5 @@ def tolerant_hull(
 
 
 def silhouette(caster: RayCaster, camera: Camera) -> np.ndarray:
-    """Return the signed distances [H,W], pixels, to a surface's silhouette in a camera, positive inside."""
+    """Return each pixel's signed distance [H,W] to a surface's silhouette, in pixels, positive inside."""
     return signed_distance((caster.cast(camera).depth > 0).astype(np.float32))

@@ -1,4 +1,4 @@
-"""Soft masks of the object in photographs, from the colours that object and background are expected to have."""
+"""Mattes of the object in photographs, from the expected colours of object and background."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.background import BackgroundSources, Window
 from mgsr.segmentation.random_walker import random_walker
 
-# Colours are sRGB, 0..1. A cost is a squared difference over twice a variance.
-NOISE = 0.02  # deviation of a photograph from its background
-SPREAD = 1.5  # times the spread of the other photographs' colours, which adds to it
-GUESSED = 0.06  # deviation where nobody shows the background and its surroundings stand in
-RENDERED = 0.04  # deviation of a photograph from the object's surfels
-MOST = 9.0  # of a cost
-STRONG = 4.0  # cost from where a pixel is surely not the background
-# Of the object's hull, in pixels and as costs.
-DEEP, INSIDE = 3.0, 6.0  # what lies deeper in the hull's silhouette costs this as background
-BESIDE, OUTSIDE = 3.0, 3.0  # what lies farther outside costs this as object
+# Colours are sRGB 0..1. A cost is a squared colour difference over twice a variance.
+NOISE = 0.02  # standard deviation of a photograph from its known background
+SPREAD = 1.5  # times the spread of the background's samples, which adds to NOISE
+GUESSED = 0.06  # standard deviation where the background is extrapolated from its surroundings
+RENDERED = 0.04  # standard deviation of a photograph from the object's rendered surfels
+MOST = 9.0  # upper limit of a cost
+STRONG = 4.0  # background cost above which a pixel certainly does not show the background
+# Prior costs from the hull's silhouette: a distance in pixels, and a cost.
+DEEP, INSIDE = 3.0, 6.0  # the cost of the label background farther inside, where the background is known
+BESIDE, OUTSIDE = 3.0, 3.0  # the cost of the label object farther outside
 SEARCHED = 6.0  # pixels around the hull's silhouette in which the object may lie
-FIRST_SEARCHED = 0.12  # and around the first mask, as a share of the square root of its area
-MARGIN = 4  # pixels around the searched region that show its background
+FIRST_SEARCHED = 0.12  # the same around the first mask, as a share of the square root of its area
+MARGIN = 4  # pixels by which the processed window exceeds the region
 
-SCALES = (1, 2, 4, 8, 16)  # pixels over which colours are extended, in turn
-LEAST = 0.1  # weight from where an extended colour counts
+SCALES = (1, 2, 4, 8, 16)  # pixels; the Gaussians' deviations by which colours are extended, in turn
+LEAST = 0.1  # blurred weight above which an extended colour counts
 
 
 @dataclass(frozen=True)
 class Matte:
     """The object in a photograph.
 
-    share [H,W] float32: of each pixel, 0..1; sure [H,W] bool: where the photograph is clearly not the background;
-    told [H,W] bool: where the background is known, so that it could be.
+    share [H,W] float32: the object's share of each pixel, 0..1. sure [H,W] bool: where the photograph certainly does
+    not show the background. told [H,W] bool: where the background is known; `sure` is False elsewhere.
     """
 
     share: np.ndarray
@@ -46,7 +46,7 @@ class Matte:
 
 
 def first_region(mask: np.ndarray) -> np.ndarray:
-    """Return where the object may lie, [H,W] bool, by its first mask [H,W] bool."""
+    """Return where the object may lie, [H,W] bool: its first mask [H,W] bool, dilated."""
     import cv2  # late: training needs no OpenCV
 
     reach = max(2, round(FIRST_SEARCHED * float(mask.sum()) ** 0.5))
@@ -55,7 +55,11 @@ def first_region(mask: np.ndarray) -> np.ndarray:
 
 
 def hull_region(mask: np.ndarray, silhouette: np.ndarray) -> np.ndarray:
-    """Return where the object may lie, [H,W] bool, by its last mask [H,W] bool and its hull's signed distances."""
+    """Return where the object may lie, [H,W] bool: near its hull's silhouette.
+
+    mask [H,W] bool: the object's last mask, inside which the region reaches twice as far. silhouette [H,W]: signed
+    distances in pixels, positive inside.
+    """
     return np.asarray((silhouette > -SEARCHED) | (mask & (silhouette > -2 * SEARCHED)))
 
 
@@ -67,10 +71,10 @@ def matte(
     sources: BackgroundSources,
     silhouette: np.ndarray | None = None,
 ) -> Matte:
-    """Segment a photograph inside a region [H,W] bool.
+    """Compute the object's matte in a photograph, inside a region [H,W] bool.
 
-    image [H,W,3] uint8 sRGB; surfels: the object's; silhouette [H,W]: signed distances, pixels, to that of the
-    object's hull, once it is known.
+    image [H,W,3] uint8 sRGB. surfels: the object's. silhouette [H,W]: signed distances to the silhouette of the
+    object's hull, in pixels, positive inside; None while the hull is unknown.
     """
     found = Matte(np.zeros(region.shape, np.float32), np.zeros(region.shape, bool), np.zeros(region.shape, bool))
     if not region.any():
@@ -84,7 +88,7 @@ def matte(
     as_background = _cost(part - behind, variance)
     color, covered = _object_colors(surfels, camera, window)
     as_object = np.where(covered, _cost(part - color, RENDERED**2), MOST)
-    # Where both are alike, neither tells anything, and the image's edges decide.
+    # Where both costs are equal, the image's edges decide.
     towards = as_background - as_object
     for_object, for_background = np.maximum(towards, 0), np.maximum(-towards, 0)
     if silhouette is not None:
@@ -107,7 +111,10 @@ def _window(region: np.ndarray) -> Window:
 
 
 def _object_colors(surfels: SurfelModel, camera: Camera, window: Window) -> tuple[np.ndarray, np.ndarray]:
-    """Return the object's colours [h,w,3], extended beyond its surfels, and how far they reach, [h,w] bool."""
+    """Render the object's colours in a window, and extend them beyond its surfels.
+
+    Returns the colours [h,w,3] sRGB 0..1, and where they are known, [h,w] bool.
+    """
     with torch.no_grad():
         shown = render_surfels(surfels, camera, torch.zeros(3))
     alpha = shown.alpha.numpy()[window]
@@ -117,9 +124,9 @@ def _object_colors(surfels: SurfelModel, camera: Camera, window: Window) -> tupl
 
 
 def _extended(color: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Extend colours [h,w,3] from where weights [h,w] are 1 to where they are 0, by blurring over growing scales.
+    """Extend colours [h,w,3] from pixels of weight 1 to pixels of weight 0, by Gaussian blurs of growing scale.
 
-    Returns the colours, and where any reach, [h,w] bool.
+    weight [h,w]: 0 or 1. Returns the colours [h,w,3], and where they are known, [h,w] bool.
     """
     found, reached = color * weight[..., None], weight > 0
     for scale in SCALES:

@@ -1,10 +1,14 @@
-"""Masks of the object in photographs that come without any: no clicks, no network weights.
+"""Object masks for photographs without any, found without user input and without a neural network.
 
-A 2D branch is trained briefly on small photographs of the whole scene. Its surfels that stand on the plane under the
-scene's middle, in one piece, are the object to begin with. Each photograph is then compared with the background that
-the other photographs show at the same places, and with the object's surfels; a random walker makes a soft mask of both.
-The hull of these masks, which a few may contradict, says which surfels are the object's and where each mask is wrong.
-After some rounds masks and hull agree, or the capture shows no single object.
+A 2D branch is trained briefly on small photographs of the whole scene. The object's first surfels are the connected
+piece that stands on the support plane near the scene's centre. A few rounds then refine masks and surfels in turn:
+
+1. Each photograph is compared with its expected background and with the object's rendered surfels. A random walker
+   turns both costs into a matte.
+2. The visual hull of the mattes tolerates errors in a few of them. Its surface gives each view's silhouette.
+3. The surfels in the hull that certainly hide the background become the object's.
+
+The capture shows no single object if the masks and the hull's silhouettes still disagree afterwards.
 """
 
 from __future__ import annotations
@@ -35,40 +39,39 @@ from mgsr.start.starting_points import StartingPoints
 from mgsr.training.proxy_model import small_view
 from mgsr.training.run import Training
 
-SIDE, FINE_SIDE = 480, 960  # pixels of the photographs that surfels are trained on, and of the last masks
-ITERATIONS = 400
-DISSENT = (0.1, 0.08, 0.06)  # share of the views that may have a place of the hull outside their masks, by round
-SOLID = 0.2  # opacity of the surfels that count
-NEAR = 1.5  # radius around the scene's centre, in balls, in which the object stands
-MIDDLE = 0.7  # radius, in balls, within which pieces count as lying in the middle
+SIDE, FINE_SIDE = 480, 960  # pixels; longer side of the photographs for training, and for the final masks
+ITERATIONS = 400  # of the training
+DISSENT = (0.1, 0.08, 0.06)  # share of the masks that may exclude a place of the hull, for each round
+SOLID = 0.2  # least opacity of the object's first surfels
+NEAR = 1.5  # ball radii; distance from the scene's centre within which the object stands
+MIDDLE = 0.7  # ball radii; distance from the middle at which a surfel's vote for its piece falls to 1/e
 # Distances in pixels of the small photographs, on the object.
-FLAT = 3.0  # of points from the plane that holds them
-STANDING = 6.0  # over the plane, from where a surfel belongs to what stands on it
-RAISED = 3.0  # over the plane, from where a surfel in the hull is the object's
-BELOW = 3.0  # under the plane, from where a surfel is a reflection and not the background
-AROUND = 1.5  # around the hull, up to where a surfel is the object's
-COPIES = 8  # of a surfel between the object's surface and the plane, which fill the first masks
-LINKED = 2.5  # times the usual distance to a third neighbour, by which surfels of one piece are apart at most
-BLOCKED = 2  # around a mask, in which a photograph does not show the background for certain
-SURE = 0.5  # share of its pixels with a known background in which an object's surfel is surely not that
-TOLD = 0.03  # least share of a surfel's pixels that have a known background
-LEAST_SPLATS = 50
-RIVAL = 0.4  # size of a second piece, against the object's, that makes two objects
-LEAST_AGREEMENT = 0.75  # mean intersection over union of the masks and of the hull's silhouettes
-BESIDE = 3.0  # pixels outside the hull's silhouette where masks end
-FILLED = 2.0  # pixels inside the hull's silhouette from where masks have no holes
-FULL = 0.7  # share of the image that is no single object's any more
-CUT = 0.1  # share of a mask's extent that lies on the image's border, from where the object counts as cut off
+FLAT = 3.0  # tolerance of the support plane's inliers, and margin of a given box
+STANDING = 6.0  # least height of the object's first surfels above the plane
+RAISED = 3.0  # least height of the object's later surfels above the plane
+BELOW = 3.0  # depth below the plane beyond which a surfel is a reflection, not background
+AROUND = 1.5  # distance from the hull within which a surfel may be the object's
+COPIES = 8  # copies of a surfel between its place and the plane, which fill the first masks
+LINKED = 2.5  # times the median distance to a third neighbour; surfels closer than this are connected
+BLOCKED = 2  # pixels around a mask that do not count as background
+SURE = 0.5  # least share of an object surfel's pixels with known background that certainly hide it
+TOLD = 0.03  # least share of an object surfel's pixels whose background is known
+LEAST_SPLATS = 50  # an object has at least so many surfels
+RIVAL = 0.4  # relative size of a second piece above which the object is ambiguous
+LEAST_AGREEMENT = 0.75  # least mean intersection over union of the masks and the hull's silhouettes
+BESIDE = 3.0  # pixels outside the hull's silhouette beyond which final masks are 0
+FILLED = 2.0  # pixels inside the hull's silhouette beyond which final masks are 1
+FULL = 0.7  # median share of the image above which masks do not show a single object
+CUT = 0.1  # pixels on the image's border, over the square root of the mask's area, above which it is cut off
 
 
 @dataclass(frozen=True)
 class FoundObject:
     """The object that a capture shows.
 
-    train, test: its masks [H,W] uint8 in the scene's views, in their order; agreement [V]: how well each training
-    view's mask agrees with the others, as intersection over union with what the labelled surfels render; box [2,3]: the
-    least and the largest corner of its surfels and of their feet on the plane, in the scene's frame; plane: what it
-    stands on, None where a person said where it lies and no plane is there.
+    train, test: its masks [H,W] uint8, 0..255, in the order of the scene's views. agreement [V]: the intersection over
+    union of each training view's mask and the hull's silhouette. box [2,3]: the least and the largest corner of its
+    hull, in the scene's frame. plane: the support plane, None if the user gave a box and no plane was found.
     """
 
     train: list[np.ndarray]
@@ -80,7 +83,7 @@ class FoundObject:
 
 @dataclass(frozen=True)
 class NoObject:
-    """Why a capture shows no single object, as a whole sentence without a full stop."""
+    """The reason why a capture shows no single object, as a sentence without a full stop."""
 
     reason: str
 
@@ -95,9 +98,11 @@ def find_object(
 ) -> FoundObject | NoObject:
     """Find the object in a scene without masks; the same seed gives the same masks.
 
-    start: points of the whole scene. box [2,3]: the corners, in the scene's frame, between which a person says that
-    the object lies; without one, the object is what stands in the middle. progress: told of the share that is done,
-    0..1. Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
+    start: points of the whole scene. box [2,3]: the least and the largest corner of a box around the object, in the
+    scene's frame, from the user; None: the object stands in the middle of the scene. progress: receives the share of
+    the work that is done, 0..1.
+
+    Raises Cancelled once should_stop returns True, and TrainingError if training fails.
     """
     views = [small_view(view, SIDE) for view in scene.train]
     model = _trained(replace(scene, train=views, test=[]), start, seed, should_stop, lambda done: progress(0.4 * done))
@@ -124,11 +129,11 @@ def find_object(
 
 @dataclass(frozen=True)
 class _FirstLabels:
-    """What geometry tells of the object.
+    """The object's first surfels, from geometry alone.
 
-    standing [N] bool: the surfels that stand on the plane in the middle; box [2,3]: the corners of the box around them
-    and their feet; heights [N] of all surfels over the plane, in the scene's unit; plane: what the object stands on, if
-    anything.
+    standing [N] bool: the object's surfels. box [2,3]: the box that the user gave, else the box around these surfels
+    and their feet on the plane, in the scene's frame. heights [N]: of all surfels above the plane, in the scene's unit;
+    infinite without a plane. plane: the support plane, None without one.
     """
 
     standing: np.ndarray
@@ -138,10 +143,11 @@ class _FirstLabels:
 
 
 class _Search:
-    """The rounds in which masks and hull learn from each other.
+    """The alternating refinement of masks, hull and surfel labels.
 
-    labels [N] bool: the object's surfels; masks [H,W] bool of the small photographs; silhouettes: signed distances
-    [H,W] to the hull's, None before the first round.
+    labels [N] bool: the object's surfels. masks [H,W] bool: in the small photographs. silhouettes [H,W]: signed
+    distances to the hull's silhouettes, in pixels of the small photographs, positive inside; None before the first
+    round.
     """
 
     def __init__(self, model: SurfelModel, first: _FirstLabels, views: Sequence[View]) -> None:
@@ -156,9 +162,9 @@ class _Search:
         self.masks = [ndimage.binary_fill_holes(_covered(columns, camera)) for camera in self._cameras]
 
     def refine(self, dissent: float) -> None:
-        """Make masks from the present labels, a hull from the masks, and labels from the hull.
+        """Update the masks from the labels, the hull from the masks, and the labels from the hull.
 
-        dissent: the share of the views that may have a place of the hull outside their masks.
+        dissent: the share of the masks that may exclude a place of the hull.
         """
         sources, surfels = self._sources(), some_surfels(self._model, self.labels)
 
@@ -182,7 +188,10 @@ class _Search:
         self.labels = inside & (first.heights > RAISED * self._pixel) & self._sure(found)
 
     def last_masks(self, train: Sequence[View], test: Sequence[View]) -> list[np.ndarray]:
-        """Return the masks [H,W] uint8 of the training and the test views, made once more in larger photographs."""
+        """Return the final masks [H,W] uint8, 0..255, of the training and then the test views.
+
+        They are computed in photographs of FINE_SIDE pixels and resized to the views.
+        """
         import cv2  # late: training needs no OpenCV
 
         fine = [small_view(view, FINE_SIDE) for view in [*train, *test]]
@@ -203,15 +212,15 @@ class _Search:
         return list(map_ahead(made, zip([*train, *test], fine, strict=True), None))
 
     def box(self) -> np.ndarray:
-        """Return the corners [2,3] of the box around the hull."""
+        """Return the least and the largest corner [2,3] of the hull, in the scene's frame."""
         assert self._hull is not None
         places = np.argwhere(self._hull.field > 0) * self._hull.voxel + self._hull.origin
         return np.stack([places.min(axis=0), places.max(axis=0)])
 
     def _sources(self, larger: Sequence[View] | None = None) -> BackgroundSources:
-        """Return what tells of the background: whatever lies outside the masks and the hull's silhouettes.
+        """Return the sources of the background: whatever lies outside the masks and the hull's silhouettes.
 
-        larger: the same photographs at another size, to look at in place of the small ones.
+        larger: the same photographs at a larger size, to sample in place of the small ones.
         """
         import cv2  # late: training needs no OpenCV
 
@@ -234,7 +243,10 @@ class _Search:
         return BackgroundSources(cameras, images, clear, surfels, self._first.plane)
 
     def _sure(self, found: Sequence[Matte]) -> np.ndarray:
-        """Return which surfels [N] bool photographs show where they surely do not show the background."""
+        """Return the surfels [N] bool whose pixels mostly hide the background for certain.
+
+        found: the mattes of the small photographs.
+        """
         sure, told = (
             lifted_labels(self._model, masks, self._cameras)[0]
             for masks in ([each.sure for each in found], [each.told for each in found])
@@ -243,9 +255,10 @@ class _Search:
 
 
 def _columns(surfels: SurfelModel, plane: SupportPlane | None) -> SurfelModel:
-    """Return surfels and copies of them on their way down to the plane, which fill what lies below the surface.
+    """Return the surfels, and copies of them that are lowered in steps down to the plane.
 
-    Shiny sides show what they reflect, so that surfels of them may lie anywhere.
+    The copies cover the object's sides. The surfels of a shiny side may be missing, because they lie where its
+    reflections seem to be.
     """
     if plane is None:
         return surfels
@@ -265,7 +278,10 @@ def _covered(surfels: SurfelModel, camera: Camera) -> np.ndarray:
 def _first_labels(
     model: SurfelModel, cameras: Sequence[Camera], box: np.ndarray | None, generator: np.random.Generator
 ) -> _FirstLabels | NoObject:
-    """Return which surfels stand on the plane under the middle, in the piece nearest to it; or those in the box."""
+    """Label the largest connected piece of surfels that stands on the support plane; those near the middle weigh more.
+
+    box [2,3]: the box in the scene's frame that holds the object; None: the object stands near the scene's centre.
+    """
     pixel = pixel_size(cameras, np.zeros(3))
     centers = np.asarray(model.means.detach().numpy(), np.float64)
     solid = model.opacities().detach().numpy() > SOLID
@@ -283,7 +299,7 @@ def _first_labels(
     reach = LINKED * float(np.median(cKDTree(centers[found]).query(centers[found], k=4)[0][:, 3]))
     piece = pieces(centers[found], reach)
     middle = np.zeros(3) if box is None else box.mean(axis=0)
-    # The cameras look at the object, so what lies near the middle counts more.
+    # The cameras look at the object, so surfels near the middle weigh more.
     sizes = np.bincount(piece, np.exp(-(((centers[found] - middle) / MIDDLE) ** 2).sum(axis=1)))
     largest = int(np.argmax(sizes))
     if box is None and (np.delete(sizes, largest) > RIVAL * sizes[largest]).any():
@@ -297,7 +313,10 @@ def _first_labels(
 
 
 def _box_with_feet(positions: np.ndarray, plane: SupportPlane | None) -> np.ndarray:
-    """Return the corners [2,3] of the box around positions [P,3], and around the feet of those near the plane."""
+    """Return the least and the largest corner [2,3] of positions [P,3] and of their feet, in the scene's frame.
+
+    The feet are the projections of the lowest positions onto the plane.
+    """
     if plane is not None:
         heights = plane.heights(positions)
         low = heights < 2 * heights.min()
@@ -322,13 +341,16 @@ def _trained(
 
 
 def _overlap(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the intersection over union of two masks; 1 where both are empty."""
+    """Return the intersection over union of two masks [H,W] bool; 1 if both are empty."""
     union = (one | other).sum()
     return float((one & other).sum() / union) if union else 1.0
 
 
 def _doubt(masks: Sequence[np.ndarray], agreement: np.ndarray) -> NoObject | None:
-    """Return what speaks against masks [H,W] bool that all show one object; None where nothing does."""
+    """Return why the masks [H,W] bool do not show a single object; None if they do.
+
+    agreement [V]: the intersection over union of each mask and the hull's silhouette.
+    """
     if np.mean([mask.any() for mask in masks]) < 0.8:
         return NoObject("many photographs do not show the object")
     if np.median([mask.mean() for mask in masks]) > FULL:

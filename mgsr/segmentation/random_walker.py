@@ -1,4 +1,4 @@
-"""Segmentation of an image by a random walker with prior costs (Grady 2005), as a soft mask."""
+"""Soft segmentation of an image by the random walker with priors (Grady 2005)."""
 
 from __future__ import annotations
 
@@ -6,21 +6,23 @@ import numpy as np
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import cg
 
-SMOOTHNESS = 6.0  # weight of an edge between pixels of one colour, against the costs
-CONTRAST = 0.05  # sRGB 0..1 by which neighbours differ where that weight has fallen to 0.6
-TOLERANCE, ITERATIONS = 1e-3, 300  # of the conjugate gradients
-# Neighbours by row and column, and their distance.
+SMOOTHNESS = 6.0  # weight of an edge between pixels of equal colour, relative to the costs
+CONTRAST = 0.05  # sRGB 0..1; a colour difference of this size reduces an edge's weight to 0.6 of that
+TOLERANCE, ITERATIONS = 1e-3, 300  # of the conjugate gradient solver
+# Offsets to a neighbour by row and column, and its distance.
 STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2**0.5), (1, -1, 2**0.5))
 
 
 def random_walker(
     image: np.ndarray, as_background: np.ndarray, as_object: np.ndarray, region: np.ndarray
 ) -> np.ndarray:
-    """Return each pixel's share of the object, [h,w] 0..1, from costs and the image's edges.
+    """Return the object's share of each pixel, [h,w] 0..1, from label costs and the image's edges.
 
-    image [h,w,3] sRGB 0..1; as_background, as_object [h,w] >= 0: what it costs to call a pixel background or object;
-    region [h,w] bool: where the object may lie, outside of which every share is 0. The shares minimise the costs times
-    the squared shares, and the squared differences of neighbours of like colour.
+    image [h,w,3] sRGB 0..1. as_background, as_object [h,w]: the costs, 0 or more, of labelling a pixel background or
+    object. region [h,w] bool: where the object may lie; every share outside is 0.
+
+    The shares x minimise the sum of as_background (1 - x)^2 + as_object x^2 over the pixels, plus the squared
+    differences of neighbours. Edges between unlike colours weigh less.
     """
     share, count = np.zeros(region.shape, np.float32), int(region.sum())
     if not count:
@@ -42,7 +44,10 @@ def random_walker(
 
 
 def _edges(image: np.ndarray, numbers: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return, for each direction of STEPS, the numbers of two neighbours and the weight of the edge between them."""
+    """Return the edges between neighbours, for each offset of STEPS: both pixels' numbers [E], and weights [E].
+
+    image [h,w,3] sRGB 0..1. numbers [h,w]: each pixel's number in the region; the largest one marks those outside.
+    """
     found = []
     height, width = numbers.shape
     outside = int(numbers.max())

@@ -1,4 +1,4 @@
-"""Labels of surfels: which pieces they form, and which belong to the object by masks of the photographs."""
+"""Segmentation of surfels: their connected pieces, and labels lifted from the photographs' masks."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from mgsr.renderers.surfels import render_surfels
 
 
 def pieces(points: np.ndarray, reach: float) -> np.ndarray:
-    """Return the number of the connected piece [P] that each point [P,3] belongs to.
+    """Label each of the points [P,3] with its connected component, [P].
 
-    Points closer than `reach` are connected. Piece 0 has the most points.
+    Points closer than `reach`, in their unit, are connected. Component 0 has the most points.
     """
     pairs = cKDTree(points).query_pairs(reach, output_type="ndarray")
     links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
@@ -31,7 +31,7 @@ def pieces(points: np.ndarray, reach: float) -> np.ndarray:
 
 
 def some_surfels(model: SurfelModel, chosen: np.ndarray) -> SurfelModel:
-    """Return the surfels that are chosen, [N] bool, as a model of their own."""
+    """Return a model of the surfels where `chosen` [N] bool is True."""
     rows = torch.from_numpy(np.flatnonzero(chosen))
     return SurfelModel(**{name: tensor[rows] for name, tensor in model.parameters().items()})
 
@@ -39,10 +39,13 @@ def some_surfels(model: SurfelModel, chosen: np.ndarray) -> SurfelModel:
 def lifted_labels(
     model: SurfelModel, masks: Sequence[np.ndarray], cameras: Sequence[Camera]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return each surfel's mean mask [N], 0..1, weighted by its share of the pixels, and the sum of the weights [N].
+    """Lift masks to the surfels: return each surfel's label [N], 0..1, and the sum of its weights [N].
 
-    masks [H,W] bool or 0..1, one for each camera. The labels are the closed-form optimum of Shen and others 2024
-    (FlashSplat). Rendering is linear in the colours, so the weights are its derivatives.
+    masks [H,W] bool or 0..1, one for each camera. A label is the mean of the masks over the pixels that the surfel
+    covers. A pixel's weight is the surfel's blending weight there.
+
+    Source: the closed-form optimum of Shen and others 2024 (FlashSplat). Rendering is linear in the colours, so the
+    blending weights are its derivatives.
     """
     inside, whole = torch.zeros(len(model)), torch.zeros(len(model))
     for mask, camera in zip(masks, cameras, strict=True):

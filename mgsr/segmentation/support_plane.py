@@ -1,4 +1,4 @@
-"""The plane on which an object stands, found among points by RANSAC (Fischler and Bolles 1981)."""
+"""Detection of the plane that an object stands on, by RANSAC (Fischler and Bolles 1981)."""
 
 from __future__ import annotations
 
@@ -10,27 +10,30 @@ import numpy as np
 from mgsr.data.camera import Camera
 
 TRIALS = 3000
-STEEPEST = 35.0  # degrees between the plane's normal and the cameras' mean upward direction
-REFITS = 5
-LEAST_SHARE = 0.1  # of the points that lie on a plane that supports something
-ABOVE_IT = 0.8  # share of the cameras that must look down on it
-BELOW_IT = 0.25  # largest share of the points that may lie under it
+STEEPEST = 35.0  # degrees; largest angle between the plane's normal and the cameras' mean upward direction
+REFITS = 5  # least-squares fits to the inliers
+LEAST_SHARE = 0.1  # least share of the points that are inliers
+ABOVE_IT = 0.8  # least share of the cameras above the plane
+BELOW_IT = 0.25  # largest share of the points below the plane
 
 
 @dataclass(frozen=True)
 class SupportPlane:
-    """The points x with normal . x + offset = 0. normal [3] is a unit vector and points up, away from the ground."""
+    """The plane of the points x with normal . x + offset = 0.
+
+    normal [3]: a unit vector in the world frame that points upwards, to the object's side. offset: in the world's unit.
+    """
 
     normal: np.ndarray
     offset: float
 
     def heights(self, points: np.ndarray) -> np.ndarray:
-        """Return the signed heights [P] of points [P,3] over the plane, in their unit."""
+        """Return the signed heights [P] of points [P,3] above the plane, in the world's unit."""
         return np.asarray(points @ self.normal + self.offset)
 
 
 def upward(cameras: Sequence[Camera]) -> np.ndarray:
-    """Return the mean direction [3] of the images' upper sides, a unit vector in the world frame."""
+    """Return the cameras' mean upward direction [3], a unit vector in the world frame."""
     mean = -np.mean([camera.cam_from_world[1, :3] for camera in cameras], axis=0)
     return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-12))
 
@@ -38,10 +41,11 @@ def upward(cameras: Sequence[Camera]) -> np.ndarray:
 def find_support_plane(
     points: np.ndarray, cameras: Sequence[Camera], tolerance: float, generator: np.random.Generator
 ) -> SupportPlane | None:
-    """Find the plane under an object, among points [P,3] of the object and what surrounds it.
+    """Find the plane under an object, given points [P,3] of the object and its surroundings in the world frame.
 
-    It is nearly level, holds many points within `tolerance` (the points' unit), has few points below and lies below
-    the cameras. Returns None where no plane is like that. The same generator state gives the same plane.
+    The plane is nearly level and lies below the cameras. Many points lie within `tolerance` of it, in the world's unit,
+    and few lie below it. Returns None if no plane meets these conditions. The same generator state gives the same
+    plane.
     """
     if len(points) < 3:
         return None
@@ -62,7 +66,11 @@ def find_support_plane(
 def _most_supported(
     points: np.ndarray, up: np.ndarray, tolerance: float, generator: np.random.Generator
 ) -> SupportPlane | None:
-    """Return the best of TRIALS planes through three points each; inliers count by a truncated quadratic (MSAC)."""
+    """Return the best of TRIALS planes, each through three of the points [P,3]; None if none of them is level.
+
+    up [3]: the upward direction, unit. A plane's score is a truncated quadratic of the points' heights (MSAC);
+    tolerance: where it is cut off, in the points' unit.
+    """
     corners = points[generator.integers(0, len(points), (TRIALS, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
@@ -79,7 +87,7 @@ def _most_supported(
 
 
 def _fitted(points: np.ndarray, normal: np.ndarray) -> SupportPlane:
-    """Return the least-squares plane of points [P,3], its normal on the side of `normal`."""
+    """Fit a plane to points [P,3] by least squares, and orient it along `normal` [3]."""
     middle = points.mean(axis=0)
     found = np.linalg.svd(points - middle, full_matrices=False)[2][2]
     found = found * (1.0 if found @ normal >= 0 else -1.0)

@@ -1,8 +1,8 @@
 """Ambient occlusion and one-bounce interreflection of a surface.
 
-A matte point shines alike to all sides. So what a photograph shows of the surface around a point, weighed by how much
-of the point's sky it fills and by its tilt, is what arrives from there: the first of the bounces (radiosity). Both
-change slowly along a surface, so a coarse copy of it is enough.
+A matte point is equally bright from all directions. So the first bounce (radiosity) at a point is the mean of what a
+photograph shows of the surface around it, weighted by the cosine and by the share of the point's sky that each part
+fills. Occlusion and interreflection vary slowly along a surface, so a coarse mesh is enough.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from mgsr.geometry.triangles import tangents
 from mgsr.parallel import map_ahead
 from mgsr.shading.observations import LinearPhotograph, read_image, seen_frontal
 
-RAYS = 64  # from a point into its sky
-GRAZING = 0.05  # cosine of the tilt under which a photograph tells too little of how bright a point is
-TURN = np.pi * (3 - np.sqrt(5))  # from ray to ray: the golden angle spreads them evenly
+RAYS = 64  # for each vertex
+GRAZING = 0.05  # least cosine between normal and view direction at which a photograph's brightness counts
+TURN = np.pi * (3 - np.sqrt(5))  # radians from ray to ray: the golden angle spreads the rays evenly
 
 
 @dataclass(frozen=True)
 class AmbientOcclusion:
-    """Ambient occlusion and interreflection at the vertices of a coarse copy of a surface, both weighed by the cosine.
+    """Cosine-weighted ambient occlusion and interreflection at the vertices of a coarse mesh of the surface.
 
-    sky_visibility [V]: the share of its sky that a vertex sees; interreflection [V,N]: the brightness that arrives
-    there from the surface itself, in N photographs.
+    sky_visibility [V]: the visible share of each vertex's sky, 0..1. interreflection [V,N]: the light that the surface
+    itself sends to each vertex, in N photographs, in linear light.
     """
 
     mesh: Mesh
@@ -36,10 +36,9 @@ class AmbientOcclusion:
     interreflection: np.ndarray
 
     def at(self, points: np.ndarray, photographs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the open share of the sky [P], and the interreflected light [P,K], at points [P,3] beside
-        the surface.
+        """Return the sky visibility [P] and the interreflected light [P,K] at points [P,3] near the surface.
 
-        photographs [P,K]: the photographs, by index, of which the interreflected light is asked for.
+        photographs [P,K]: the indices of the photographs for the interreflected light.
         """
         face, shares = self.mesh.caster.nearest(points)
         corners = self.mesh.faces[face]
@@ -54,7 +53,7 @@ def estimate_occlusion(
 ) -> AmbientOcclusion:
     """Estimate ambient occlusion and one-bounce interreflection for every vertex of a mesh.
 
-    gap: how far a vertex may lie behind its faces.
+    gap: the largest depth of a vertex behind the faces around it, in the scene's unit.
     """
     columns = map_ahead(lambda each: _shown(mesh, each, gap), photographs, threads)
     around = _around(mesh, gap)
@@ -63,7 +62,7 @@ def estimate_occlusion(
 
 
 def _shown(mesh: Mesh, photograph: LinearPhotograph, gap: float) -> np.ndarray:
-    """Return each vertex's brightness in a photograph, [V]; 0 where it is not seen."""
+    """Return each vertex's brightness [V] in a photograph, in linear light; 0 where it is not visible."""
     vertices, normals = mesh.vertices, mesh.double_normals
     offsets = photograph.camera.center - vertices
     cosines = (offsets * normals).sum(axis=1) / np.linalg.norm(offsets, axis=1)
@@ -77,9 +76,9 @@ def _shown(mesh: Mesh, photograph: LinearPhotograph, gap: float) -> np.ndarray:
 
 
 def _around(mesh: Mesh, gap: float) -> sparse.csr_matrix:
-    """Return the share of each vertex's sky (row) that each other vertex fills, [V,V].
+    """Return the share [V,V] of each vertex's sky (row) that every other vertex (column) fills.
 
-    RAYS rays are cast from each vertex, distributed by the cosine, on a spiral that is turned from vertex to vertex.
+    Each vertex casts RAYS rays with a cosine distribution, on a spiral that is rotated from vertex to vertex.
     """
     vertices, faces, normals = mesh.vertices, mesh.faces, mesh.double_normals
     first, second = tangents(normals)

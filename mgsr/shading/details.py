@@ -1,10 +1,10 @@
-"""The fine detail that photographs show of a surface, and how it changes as the surface moves.
+"""The fine detail of a surface in photographs, and its derivative with respect to displacements of the surface.
 
-Photographs are compared in one mix of their channels: that whose detail is steepest against the residual. Where paint
-differs in hue, that is a difference of channels, from which white light's shades vanish.
+Photographs are compared in one mix of their channels, the one with the steepest detail relative to the residual. Where
+paint differs in hue, that is a difference of channels, which cancels the shading of white light.
 
-Under a flash on the camera every photograph has a light of its own; where that is known, what a photograph shows of a
-vertex is divided by the light on it. Where the environment map that gloss mirrors is known, so is how much it disturbs.
+A flash lights every photograph differently. If its light is known, brightness is divided by the irradiance. If the
+environment map is known, the detail that gloss mirrors is known too, and observations weigh less where it is strong.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from mgsr.shading.light_models import LightModel
 from mgsr.shading.lighting import DIMMEST, GAMMA, Lighting
 from mgsr.shading.observations import CLIPPED, SOLID, lie_within, read_image, seen_frontal
 
-BLUR = 1.0  # pixels; of the photographs, against their noise
-DETAIL = 3.0  # pixels; of a wider blur, which is taken off: what is coarser is the light's
-MIN_COS = 0.3  # of the tilt; what is seen more grazing is left out
-MIN_OBSERVATIONS = 4  # photographs that see a vertex, or they tell nothing of it
-MAX_DEVIATIONS = 3.0  # of the residual; observations past this do not count for the mix
-GREY = np.full(3, 1 / 3)  # the mix of the channels that is their mean
-CLEARER = 1.5  # times the grey's; what another mix must tell at least
+BLUR = 1.0  # pixels; standard deviation of the Gaussian against image noise
+DETAIL = 3.0  # pixels; standard deviation of the wider Gaussian that is subtracted, as coarser variation is shading
+MIN_COS = 0.3  # least cosine between normal and view direction
+MIN_OBSERVATIONS = 4  # least number of photographs that see a vertex
+MAX_DEVIATIONS = 3.0  # of the residual; outliers beyond this do not count for the mix
+GREY = np.full(3, 1 / 3)  # the mean of the channels
+CLEARER = 1.5  # least gain in information of another mix over GREY
 
 
 @dataclass(frozen=True)
 class KnownLight:
-    """What is known of the light.
+    """The known light.
 
-    lighting: of a flash on the camera; mirrors: the environment map that gloss mirrors.
+    lighting: of a flash on the camera. mirrors: the environment map that the surface mirrors. Each is None if unknown.
     """
 
     lighting: Lighting | None = None
@@ -47,13 +47,13 @@ class KnownLight:
 
     @classmethod
     def known_by(cls, light_model: LightModel | None, mesh: Mesh) -> KnownLight:
-        """Return what a light model tells of the light on a mesh."""
+        """Return the light on a mesh according to a light model, if there is one."""
         return cls() if light_model is None else cls(light_model.lighting(mesh), light_model.environment(mesh))
 
 
 @dataclass(frozen=True)
 class ObservedMesh:
-    """A mesh under refinement; pixel: the size of a photograph's pixel there."""
+    """A mesh under refinement; pixel: the size of a photograph's pixel on it, in the scene's unit."""
 
     mesh: Mesh
     pixel: float
@@ -63,10 +63,10 @@ class ObservedMesh:
         return diffuse(values, self.mesh.laplacian, reach * self.pixel / self.mesh.edge_length)
 
     def detail(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """Return values [N,V] less their mean over DETAIL pixels around, and 0 where they are not known.
+        """Return values [N,V] minus their mean over DETAIL pixels around, and 0 at unknown vertices.
 
-        known [V] bool: the vertices that count. All known ones count alike, so that photographs which see the same
-        places take the same means.
+        known [V] bool: the vertices that count, all with the same weight, so that photographs of the same vertices
+        subtract the same means.
         """
         around = self.around(np.stack([*(values * known), known], axis=1), DETAIL)
         return np.asarray(known * (values - around[:, :-1].T / np.maximum(around[:, -1], 1e-6)))
@@ -76,8 +76,8 @@ class ObservedMesh:
 class ChannelMix:
     """A photograph in one mix of its channels.
 
-    image [H,W,3] uint8; mix [3]: the channels' weights; mixed [H,W] float32: the mixed channels, blurred; usable [H,W]
-    bool: the pixels that are of use.
+    image [H,W,3]: uint8 sRGB. mix [3]: the channels' weights. mixed [H,W]: float32, the mix of the blurred channels,
+    in sRGB 0..1. usable [H,W] bool: the pixels that show the object alone and are not clipped.
     """
 
     camera: Camera
@@ -87,19 +87,19 @@ class ChannelMix:
     usable: np.ndarray
 
     def slopes(self, pixels: np.ndarray) -> np.ndarray:
-        """Return how the mix changes a pixel to the right, and a pixel down, [P,2], at pixel coordinates [P,2]."""
+        """Return the mix's gradient [P,2], to the right and down, per pixel, at pixel coordinates [P,2]."""
         sides = np.eye(2)
         ahead, behind = ([read_image(self.mixed, pixels + sign * side) for side in sides] for sign in (1, -1))
         return np.stack(ahead, axis=1) / 2 - np.stack(behind, axis=1) / 2
 
     def rates(self, pixels: np.ndarray) -> np.ndarray:
-        """Return how fast the mix rises with white light, [P], at pixel coordinates [P,2]."""
+        """Return the derivative [P] of the mix by white linear light at pixel coordinates [P,2]."""
         columns, rows = np.clip(pixels.astype(int), 0, (self.camera.width - 1, self.camera.height - 1)).T
         return np.asarray(srgb_rate(self.image[rows, columns] / 255) @ self.mix)
 
 
 def mix_channels(views: Sequence[View], mix: np.ndarray, threads: int | None) -> list[ChannelMix]:
-    """Mix the channels of the views by weights [3], in sRGB, whose noise is more even than linear light's."""
+    """Mix the channels of the views by weights [3]; in sRGB, as its noise is more uniform than linear light's."""
 
     def mixed(view: View) -> ChannelMix:
         inside = view.image.max(axis=-1) <= CLIPPED * 255
@@ -119,8 +119,8 @@ def mix_channels(views: Sequence[View], mix: np.ndarray, threads: int | None) ->
 def choose_mix(surface: ObservedMesh, views: Sequence[View], light: KnownLight, threads: int | None) -> np.ndarray:
     """Find the channel weights [3] whose detail locates the surface best.
 
-    The mix is steepest against the residual: the leading eigenvector of the slopes' covariance against that of the
-    residual. Unless it is CLEARER times as informative as the mean of the channels, the latter is returned.
+    The mix maximises the ratio of slope to residual: it is the leading generalised eigenvector of the covariances of
+    the slopes and of the residuals. The result is GREY unless the mix is CLEARER times as informative.
     """
     single = [mix_channels(views, channel, threads) for channel in np.eye(3)]
     channels = [read_details(surface, photographs, light, threads) for photographs in single]
@@ -141,9 +141,9 @@ def choose_mix(surface: ObservedMesh, views: Sequence[View], light: KnownLight, 
 class Details:
     """The detail of V vertices in K photographs, each [V,K] float32.
 
-    mixed: the mix at the vertex less its mean around; change: of `mixed`, for each pixel's size that the vertex moves
-    along its normal; mirrored: how much detail gloss mirrors there and around, as normals are only known roughly;
-    weights: 0 where the vertex is not seen.
+    mixed: the mix at the vertex minus its mean around. change: the derivative of `mixed` by displacements of the vertex
+    along its normal, in pixels. mirrored: the mirrored detail at the vertex and around it, as normals are inaccurate.
+    weights: 0 where the vertex is not visible.
     """
 
     mixed: np.ndarray
@@ -155,7 +155,7 @@ class Details:
 def read_details(
     surface: ObservedMesh, photographs: Sequence[ChannelMix], light: KnownLight, threads: int | None
 ) -> Details:
-    """Read the detail of the surface's vertices in all photographs."""
+    """Sample the detail of the surface's vertices in all photographs."""
     rows = map_ahead(lambda each: _read_one(surface, each, light), photographs, threads)
     details = Details(*(np.stack(columns, axis=1) for columns in zip(*rows, strict=True)))
     details.weights[(details.weights > 0).sum(axis=1) < MIN_OBSERVATIONS] = 0
@@ -163,7 +163,7 @@ def read_details(
 
 
 def _read_one(surface: ObservedMesh, photograph: ChannelMix, light: KnownLight) -> np.ndarray:
-    """Read one photograph's column [4,V] of `Details`, in the order of its fields."""
+    """Sample one photograph: return its column [4,V] of `Details`, in the order of the fields."""
     camera, places, normals = photograph.camera, surface.mesh.vertices, surface.mesh.double_normals
     samples = sample_view(surface, photograph, light)
     step = 0.1 * surface.pixel * normals[samples.seen]
@@ -185,9 +185,9 @@ def _read_one(surface: ObservedMesh, photograph: ChannelMix, light: KnownLight) 
 class ViewSamples:
     """A surface's vertices in one photograph.
 
-    view_directions [V,3]: unit directions from each vertex to the camera; seen [S]: the vertices that it sees; pixels
-    [S,2]: their pixel coordinates; lit [S]: the factor by which a flash on the camera scales their sRGB, 1 without;
-    weights [S]: 0 where they are of no use.
+    view_directions [V,3]: unit directions from each vertex to the camera. seen [S]: the indices of the visible
+    vertices. pixels [S,2]: their pixel coordinates. lit [S]: the factor by which a flash scales their sRGB values, 1
+    without a flash. weights [S]: 0 where a vertex is unusable.
     """
 
     view_directions: np.ndarray
@@ -198,7 +198,7 @@ class ViewSamples:
 
 
 def sample_view(surface: ObservedMesh, photograph: ChannelMix, light: KnownLight) -> ViewSamples:
-    """Find where a photograph shows the surface's vertices, and how much each counts."""
+    """Find the vertices that a photograph shows, their pixels and their weights."""
     camera, places, normals = photograph.camera, surface.mesh.vertices, surface.mesh.double_normals
     offsets = camera.center - places
     view_directions = offsets / np.linalg.norm(offsets, axis=1, keepdims=True)
@@ -214,7 +214,7 @@ def sample_view(surface: ObservedMesh, photograph: ChannelMix, light: KnownLight
 
 
 def centered(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return values [V,K] less their mean over the K photographs, by weights [V,K]."""
+    """Return values [V,K] minus their mean over the K photographs, weighted by weights [V,K]."""
     total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
     centred: np.ndarray = values - (weights * values).sum(axis=1, keepdims=True) / total
     return centred

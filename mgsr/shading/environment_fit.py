@@ -1,8 +1,8 @@
-"""The environment map as a surface mirrors it, blurred by its gloss.
+"""Estimation of the environment map that a surface mirrors, blurred by the surface's gloss.
 
-Under light that stands still, what a point of an object shows is its own steady brightness, whatever matte paint makes
-of the light, plus what it mirrors, which depends on the mirrored direction alone when the gloss is the same all over.
-So all points together tell one map, and how a single point's brightness changes from view to view tells its normal.
+Under static light, a point's brightness is the sum of a constant diffuse term and a mirrored term. If the gloss is the
+same everywhere, the mirrored term depends on the mirrored direction alone. So all points together determine one map,
+and the change of a point's brightness between views determines its normal.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from scipy.sparse.linalg import LinearOperator, cg
 from mgsr.shading.observations import Observations
 
 HEIGHT, WIDTH = 32, 64  # of the map: polar angle by azimuth, in steps of 5.6 degrees
-CELLS = 64  # a side of the table, which looks a direction up to 2 degrees
-POINTS = 6000  # whose observations make the map
-SMOOTHNESS = 0.002  # weight of the map's squared steps beside the observations
-ROUNDS = 3  # of least squares with new weights
+CELLS = 64  # cells along a side of the lookup table, which resolves directions to 2 degrees
+POINTS = 6000  # most points in the fit
+SMOOTHNESS = 0.002  # weight of the squared differences of neighbouring cells, relative to the observations
+ROUNDS = 3  # of iteratively reweighted least squares
 OUTLIER = 3.0  # deviations at which an observation counts half
 
 
@@ -28,8 +28,8 @@ OUTLIER = 3.0  # deviations at which an observation counts half
 class FittedEnvironmentMap:
     """An environment map fitted to observations.
 
-    light [HEIGHT,WIDTH] float32, up to a constant; deviation: of the observations from it, in linear light; ratio: of
-    that to their deviation from one brightness a point.
+    light [HEIGHT,WIDTH]: float32 linear light, up to a constant. deviation: the root mean square residual of the
+    observations, in linear light. ratio: of that to the deviation without a map, from each point's mean brightness.
     """
 
     light: np.ndarray
@@ -37,7 +37,7 @@ class FittedEnvironmentMap:
     ratio: float
 
     def table(self) -> np.ndarray:
-        """Return the light in the cells of the cube [-1,1]^3, flat [CELLS^3] float32.
+        """Return a table [CELLS^3] float32 of the light in the directions of the cells of the cube [-1,1]^3.
 
         `look_up` reads it without computing angles.
         """
@@ -49,24 +49,25 @@ class FittedEnvironmentMap:
         return values
 
     def mirrored(self, normals: np.ndarray, view_directions: np.ndarray) -> np.ndarray:
-        """Return the light [P] that points with normals [P,3] mirror into the directions view_directions [P,3], all
-        unit."""
+        """Return the light [P] that points with unit normals [P,3] mirror to unit directions view_directions [P,3]."""
         directions = 2 * (view_directions * normals).sum(axis=1, keepdims=True) * normals - view_directions
         return np.asarray(_sampling(directions) @ self.light.ravel())
 
 
 def look_up(table: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Return the light [...] in unit directions with components x, y and z [...], from a
-    `FittedEnvironmentMap.table`."""
+    """Return the light [...] in unit directions with components x, y and z [...].
+
+    table [CELLS^3]: from `FittedEnvironmentMap.table`.
+    """
     x, y, z = (((axis + 1) * np.float32(CELLS * 0.49999)).astype(np.int32) for axis in (x, y, z))
     values: np.ndarray = table[(x * CELLS + y) * CELLS + z]
     return values
 
 
 def fit_environment_map(observations: Observations, normals: np.ndarray, seed: int = 0) -> FittedEnvironmentMap:
-    """Fit the environment map that best explains the observations of a surface with normals [P,3].
+    """Fit the environment map that best explains the observations of points with unit normals [P,3].
 
-    By robust least squares, from at most POINTS points, drawn with `seed`.
+    The fit is robust least squares over at most POINTS points, drawn with `seed`.
     """
     points, seen = _well_read(observations, seed)
     view_directions, brightness, weights = (
@@ -94,9 +95,9 @@ def fit_environment_map(observations: Observations, normals: np.ndarray, seed: i
 
 @dataclass(frozen=True)
 class _Equations:
-    """The linear equations of the map: brightness [Q] = rows [Q,cells] @ light + each point's own brightness.
+    """The linear equations of the map: brightness [Q] = rows [Q,HEIGHT*WIDTH] @ light + diffuse brightness.
 
-    owners [Q]: the point of each reading; its own brightness is the same in all of them.
+    owners [Q]: the point of each observation. A point's diffuse brightness is the same in all its observations.
     """
 
     rows: sparse.csr_matrix
@@ -104,6 +105,7 @@ class _Equations:
     owners: np.ndarray
 
     def solve(self, weights: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """Return the weighted least-squares map [HEIGHT*WIDTH]; weights [Q]; start [HEIGHT*WIDTH]: the first guess."""
         smooth = SMOOTHNESS * weights.sum() / (HEIGHT * WIDTH) * _steps_squared()
         turned = self.rows.T.tocsr()
 
@@ -119,18 +121,20 @@ class _Equations:
         return solution
 
     def residual(self, light: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return the residuals [Q] of a map [HEIGHT*WIDTH], with each point's diffuse brightness by weights [Q]."""
         return self._without_own(self.brightness - self.rows @ light, weights)
 
     def _without_own(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return values [Q] minus their weighted mean for each point; weights [Q]."""
         means = np.bincount(self.owners, weights * values) / np.maximum(np.bincount(self.owners, weights), 1e-12)
         centred: np.ndarray = values - means[self.owners]
         return centred
 
 
 def _well_read(observations: Observations, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of some points that at least three photographs see, and which of their observations count.
+    """Draw points that at least three photographs see.
 
-    The latter are [points,K] bool.
+    Returns their indices [Q], and which of their observations have weight, [Q,K] bool.
     """
     points = np.flatnonzero(observations.counts >= 3)
     if len(points) > POINTS:
@@ -139,14 +143,14 @@ def _well_read(observations: Observations, seed: int) -> tuple[np.ndarray, np.nd
 
 
 def _places(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where directions [...,3] fall on the map: rows -0.5 to HEIGHT-0.5 and columns -0.5 to WIDTH-0.5."""
+    """Return the map's row and column, [...] each, for unit directions [...,3]; cell centres are integers."""
     polar = np.arccos(np.clip(directions[..., 2], -1, 1)) / np.pi
     azimuth = np.arctan2(directions[..., 1], directions[..., 0]) / (2 * np.pi) % 1
     return polar * HEIGHT - 0.5, azimuth * WIDTH - 0.5
 
 
 def _sampling(directions: np.ndarray) -> sparse.csr_matrix:
-    """Return the matrix [Q,HEIGHT*WIDTH] that reads the map in directions [Q,3], bilinearly."""
+    """Return the matrix [Q,HEIGHT*WIDTH] that samples the map bilinearly in unit directions [Q,3]."""
     rows, columns = _places(directions)
     top, first = np.floor(rows).astype(int), np.floor(columns).astype(int)
     down, along = rows - top, columns - first
@@ -160,7 +164,7 @@ def _sampling(directions: np.ndarray) -> sparse.csr_matrix:
 
 
 def _steps_squared() -> sparse.csr_matrix:
-    """Return the quadratic form of the differences of neighbouring cells; the map wraps around in azimuth."""
+    """Return the quadratic form of neighbouring cells' differences; the map wraps around in azimuth."""
     cells = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
     pairs = np.concatenate(
         [
@@ -175,4 +179,5 @@ def _steps_squared() -> sparse.csr_matrix:
 
 
 def _deviation(residual: np.ndarray, weights: np.ndarray) -> float:
+    """Return the weighted root mean square of residuals [Q]; weights [Q]."""
     return float(np.sqrt((weights * residual * residual).sum() / max(weights.sum(), 1e-12)))

@@ -1,7 +1,7 @@
-"""Normals from gloss: each point is tilted until the environment map explains how its brightness changes.
+"""Normals from gloss: each normal is tilted until the environment map explains how its point's brightness changes.
 
-The tilts are searched on a grid, as lamps make the environment too uneven for steps along a slope. How fast the
-residual rises around the best tilt, against how much of it there is, tells how well the tilt is known.
+The tilts are searched on a grid, as lamps make the environment too uneven for gradient descent. The residual and its
+curvature at the best tilt give the confidence.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from mgsr.shading.target_normals import MIN_OBSERVATIONS, TargetNormals
 
 MAX_TILT, STEP = 16.0, 4.0  # degrees; the largest tilt on each of two axes, and the search's step
 OUTLIER = 3.0  # deviations at which an observation counts half
-TILT_COST = 0.08  # cost of a tilt by 10 degrees, in mean costs of the observations
-HALF_CONFIDENCE = 4.0  # degrees; deviation of a normal in which the confidence is a half
+TILT_COST = 0.08  # cost of a tilt by 10 degrees, relative to the observations' mean cost
+HALF_CONFIDENCE = 4.0  # degrees; standard deviation of a normal at which the confidence is 0.5
 CHUNK = 1000  # points at a time, so that their observations stay in the cache
 
 
@@ -31,10 +31,10 @@ def normals_from_environment(
     still: np.ndarray,
     threads: int | None,
 ) -> TargetNormals:
-    """Estimate the normals of a mesh's vertices from one environment map that they all mirror.
+    """Estimate the normals of a mesh's P vertices from one environment map that they all mirror.
 
-    normals [P,3]: the mesh's own. laplacian: its uniform Laplacian (`Mesh.laplacian`). reach: edges over which the
-    observations of neighbours are put together. still [P] in 0..1: how little a point's own normal may change.
+    normals [P,3]: the mesh's unit normals. laplacian [P,P]: its uniform Laplacian (`Mesh.laplacian`). reach: the number
+    of edges over which the costs of neighbours are pooled. still [P] in 0..1: 0 lets a normal tilt fully, 1 keeps it.
     """
     own = mean_normals(normals, laplacian, rounds=1)
     environment = fit_environment_map(observations, own)
@@ -62,9 +62,9 @@ def _costs(
     tilts: np.ndarray,
     threads: int | None,
 ) -> np.ndarray:
-    """Return the cost [P,T*T] of the residual at each tilt of the third axis of the frames [P,3,3] along the others.
+    """Return the robust cost [P,T*T] of the residual for each tilt of the normals.
 
-    tilts [T]: tangents of the angles.
+    frames [P,3,3]: rows of two tangents and the normal, unit. tilts [T]: tangents of the angles along each tangent.
     """
     table, outlier = environment.table(), OUTLIER * environment.deviation + 1e-9
     parts = np.array_split(np.arange(len(frames)), -(-len(frames) // CHUNK))
@@ -75,6 +75,11 @@ def _costs(
 def _part(
     observations: Observations, table: np.ndarray, frames: np.ndarray, tilts: np.ndarray, outlier: float
 ) -> np.ndarray:
+    """Return the costs [C,T*T] of a chunk of C points (`_costs`).
+
+    table [CELLS^3]: the environment map's lookup table. frames [C,3,3], tilts [T]: as for `_costs`. outlier: the
+    residual at which an observation's cost is half its limit, in linear light.
+    """
     along = np.einsum("pai,pki->apk", frames, observations.view_directions).astype(np.float32)
     eye = [observations.view_directions[..., axis] for axis in range(3)]
     total = np.maximum(observations.weights.sum(axis=1), 1e-9)[:, None]
@@ -92,11 +97,10 @@ def _part(
 
 
 def _lowest(costs: np.ndarray, tilts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Find the tilts at which the costs [P,T,T] are lowest, between the steps by a parabola.
+    """Find the tilts of least cost [P,T,T], with a parabola between the grid's steps; tilts [T].
 
-    Returns the tilts [P] along both axes; the cost at the lowest step [P]; and by how much the steps before and after
-    it are higher together, along both axes [2,P]. The last is 0 at the search's limits, beyond which the cost may be
-    lower.
+    Returns the tilts [P] along each of two axes, the least cost [P] on the grid, and the cost's second differences
+    [2,P] there along both axes. These are 0 at the border of the grid, beyond which the cost may be lower.
     """
     count, side = len(costs), len(tilts)
     place = costs.reshape(count, -1).argmin(axis=1)
@@ -114,7 +118,7 @@ def _lowest(costs: np.ndarray, tilts: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _vertex(before: np.ndarray, here: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return where a parabola through three neighbours is lowest, in steps from the middle, at most half a step."""
+    """Return the vertex [P] of the parabola through three costs [P], in steps from the middle, -0.5..0.5."""
     bend = np.maximum(before + after - 2 * here, 1e-12)
     offsets: np.ndarray = np.clip((before - after) / (2 * bend), -0.5, 0.5)
     return offsets

@@ -1,8 +1,8 @@
-"""The residual that paint and a mirrored environment map leave of the photographs, place by place on a surface.
+"""The photometric residual of a surface under diffuse paint and a mirrored environment map.
 
-Where a surface is right, each of its points has one brightness of its own in all photographs, and what it mirrors comes
-from one environment map. Where it is wrong, other places come to lie behind one point from view to view. So of two
-surfaces that are seen at the same pixel, the one that leaves less unexplained is the likelier there.
+On a correct surface, each point has the same diffuse brightness in all photographs, and its reflections come from one
+environment map. On a wrong surface, a point shows other places from view to view. So of two surfaces at the same pixel,
+the one with the lower residual is more likely.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from mgsr.shading.observations import Observations
 from mgsr.shading.photo_set import Observer, PhotoSet
 
 AROUND = 6.0  # pixels over which residuals are averaged
-FEWEST = 3  # observations of a point, or it tells nothing
+FEWEST = 3  # least number of observations of a point that counts
 
 
 @dataclass(frozen=True)
 class EnvironmentResidual:
     """The photometric residual of a mesh under a mirrored environment map.
 
-    variance [V]: of the observations around each vertex, in squared linear light, that is left once each point has its
-    own brightness and what it mirrors, 0 where too few tell; ratio: the share of the observations' deviation that the
-    environment map leaves on the whole surface.
+    variance [V]: the residual variance around each vertex after the diffuse and the mirrored term, in squared linear
+    light; 0 where observations are too few. ratio: the share of the observations' deviation that the environment map
+    leaves unexplained on the whole surface.
     """
 
     mesh: Mesh
@@ -39,14 +39,14 @@ class EnvironmentResidual:
     ratio: float
 
     def seen_by(self, camera: Camera) -> np.ndarray:
-        """Return the variance [H,W] of what the camera sees; 0 where it sees nothing, or too few observations tell."""
+        """Return the residual variance [H,W] at each pixel of a camera; 0 without surface or enough observations."""
         hits = self.mesh.caster.cast(camera)
         corners = self.variance[self.mesh.faces[np.where(hits.mask, hits.face, 0)]]
         return np.asarray(np.where(hits.mask & (corners > 0).all(axis=-1), corners.mean(axis=-1), 0))
 
 
 def environment_residuals(meshes: Sequence[Mesh], photos: PhotoSet) -> list[EnvironmentResidual]:
-    """Return the residual of each of several meshes, by the one environment map that explains its mesh best."""
+    """Return each mesh's residual; the variances use one map for all, the one with the least ratio on its own mesh."""
     read = []
     for mesh in meshes:
         pixel = photos.pixel_on(mesh)
@@ -64,7 +64,7 @@ def environment_residuals(meshes: Sequence[Mesh], photos: PhotoSet) -> list[Envi
 
 
 def _residual(observations: Observations, normals: np.ndarray, environment: FittedEnvironmentMap) -> np.ndarray:
-    """Return the observations' brightness [P,K] less what points with normals [P,3] mirror; 0 where unseen."""
+    """Return the brightness [P,K] minus the light that points with unit normals [P,3] mirror; 0 where not visible."""
     seen = observations.weights > 0
     owners = np.nonzero(seen)[0]
     residual = np.zeros(seen.shape)
@@ -75,7 +75,7 @@ def _residual(observations: Observations, normals: np.ndarray, environment: Fitt
 
 
 def _pooled(mesh: Mesh, pixel: float, observations: Observations, residual: np.ndarray) -> np.ndarray:
-    """Return the variance [V] of the residuals [V,K] about each point's mean, averaged over AROUND pixels."""
+    """Return the variance [V] of residuals [V,K] about each vertex's mean, averaged over AROUND pixels."""
     weights = np.where(observations.counts[:, None] >= FEWEST, observations.weights, 0)
     total = weights.sum(axis=1)
     means = (weights * residual).sum(axis=1) / np.maximum(total, 1e-9)

@@ -1,9 +1,9 @@
 """Photometric stereo under a flash: with the lamp beside the lens, brightness depends on the tilt of the surface.
 
-For a matte surface lit from one place, brightness times the squared distance is albedo x cosine of the tilt (Lambert),
-in linear light. Several views of a point give three unknowns, its normal times its albedo, by least squares
-(photometric stereo, Woodham 1980); highlights are brighter than that and lose their weight in rounds. A mesh that is
-off its surface reads another place in each view: the residual then tells that the normal is not to be trusted.
+On a matte surface under a point light, brightness times the squared distance is albedo x cosine of the tilt (Lambert),
+in linear light. Several views of a point determine three unknowns, its normal times its albedo, by least squares
+(photometric stereo, Woodham 1980). Highlights are brighter than the model, and reweighting removes them. Where the mesh
+is off the surface, each view shows another place, and the larger residual lowers the confidence.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from mgsr.shading.lighting import lamp_light
 from mgsr.shading.observations import Observations
 from mgsr.shading.target_normals import MIN_OBSERVATIONS, TargetNormals
 
-PRIOR_WEIGHT = 0.005  # weight of the surface's own normal beside the photographs'
-ROUNDS = 5  # of least squares with new weights
+PRIOR_WEIGHT = 0.005  # of the surface's own normal, relative to the photographs
+ROUNDS = 5  # of iteratively reweighted least squares
 ABOVE, BELOW = 0.5, 1.5  # deviations at which an observation that is too bright, or too dark, counts half
-HALF_CONFIDENCE = 0.03  # radians; deviation of a normal in which the confidence is a half
+HALF_CONFIDENCE = 0.03  # radians; standard deviation of a normal at which the confidence is 0.5
 CHUNK = 4096  # points at a time
 
 
@@ -31,9 +31,9 @@ CHUNK = 4096  # points at a time
 class Flash:
     """A lamp that moves with the camera, and the other light on a surface.
 
-    right, down: where the lamp is in the camera's frame, from the lens, in the scene's units. ambient: the light from
-    everywhere, where the lamp gives 1 at a distance of 1; bounced: how much of the light that arrives from the surface
-    itself is sent back, in the same measure.
+    right, down: the lamp's offset from the lens, along the camera's x and y axes, in the scene's unit. ambient: the
+    ambient light, relative to the lamp's light at a distance of 1. bounced: the factor of the interreflected light, on
+    the same scale.
     """
 
     right: float = 0.0
@@ -42,7 +42,7 @@ class Flash:
     bounced: float = 0.0
 
     def lamps(self, cameras: Sequence[Camera]) -> np.ndarray:
-        """Return the lamp's positions [N,3] for the cameras' photographs, in the scene's frame."""
+        """Return the lamp's position [N,3] for each camera's photograph, in the scene's frame."""
         sides = np.stack([camera.cam_from_world[:2, :3] for camera in cameras])
         centers = np.stack([camera.center for camera in cameras])
         positions: np.ndarray = centers + np.array([self.right, self.down]) @ sides
@@ -50,11 +50,11 @@ class Flash:
 
 
 def flash_ratio(observations: Observations, normals: np.ndarray) -> float:
-    """Return the share of the brightness' deviation that a flash at the lens leaves unexplained.
+    """Return the share of the brightness's deviation that a flash at the lens leaves unexplained.
 
-    normals [P,3]: the surface's at the P points of the observations. It is the median over the points of the deviation
-    from shading by the flash, as a share of the deviation from one brightness a point; infinite without points that
-    enough photographs see.
+    normals [P,3]: the observed points' unit normals. A point's share is its deviation from the flash's shading over its
+    deviation from a constant brightness. The result is the median over the points, or infinite if too few photographs
+    see each of them.
     """
     brightness, weights = observations.brightness * observations.distances**2, observations.weights**2
     cosines = np.maximum(np.einsum("pki,pi->pk", observations.view_directions, normals), 0)
@@ -75,8 +75,8 @@ def normals_from_flash(
 ) -> TargetNormals:
     """Estimate the normals of points from a flash's shading, by photometric stereo.
 
-    points, normals [P,3]: those read in the cameras' photographs; occlusion: their ambient occlusion and
-    interreflection.
+    points [P,3]: the observed points, in the scene's frame. normals [P,3]: their unit normals on the mesh. cameras:
+    those of the photographs. occlusion: ambient occlusion and interreflection of the surface.
     """
     lamps = flash.lamps(cameras)
     sky_visibility, interreflection = occlusion.at(points, observations.photographs)
@@ -106,7 +106,7 @@ def fit_albedo(
 ) -> np.ndarray:
     """Estimate the albedo [P] of points [P,3] with unit normals [P,3], without highlights.
 
-    It is their brightness in a light of 1; 0 where no photograph tells.
+    The albedo is the brightness under an irradiance of 1; it is 0 where no photograph shows the point.
     """
     sky_visibility, interreflection = occlusion.at(points, observations.photographs)
     lamp = lamp_light(flash.lamps(cameras)[observations.photographs] - points[:, None], normals[:, None])
@@ -123,11 +123,10 @@ def fit_albedo(
 def _solve(
     lamp_directions: np.ndarray, brightness: np.ndarray, ambient: np.ndarray, weights: np.ndarray, normals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Solve for unit normals [P,3] by robust least squares, with their standard deviations [P] in radians.
+    """Solve for unit normals [P,3] and their standard deviations [P], in radians, by robust least squares.
 
-    Without the lamp's falloff, brightness [P,K] = albedo * (cosine of the tilt + ambient [P,K]). lamp_directions
-    [P,K,3]: unit directions to the lamp; weights [P,K]; normals [P,3]: the surface's own. Observations that do not fit
-    lose weight.
+    The model is brightness = albedo * (cosine of the tilt + ambient). lamp_directions [P,K,3]: unit directions to the
+    lamp. brightness, ambient [P,K]: without the lamp's falloff. weights [P,K]. normals [P,3]: the mesh's unit normals.
     """
     current, solved = weights, normals
     products = np.stack([lamp_directions[..., i] * lamp_directions[..., j] for i, j in _PAIRS], axis=1)
@@ -147,26 +146,27 @@ def _solve(
 
 
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of a symmetric matrix's entries
-_PLACES = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # where each entry stands among them
+_PLACES = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # the index of each entry in _PAIRS
 
 
 def least_squares_scale(brightness: np.ndarray, shape: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the factor [P] that brings shape [P,K] closest to brightness [P,K], by weighted least squares."""
+    """Return the factor [P] by which shape [P,K] fits brightness [P,K] best, in least squares with weights [P,K]."""
     albedo: np.ndarray = (brightness * shape * weights).sum(1) / np.maximum((shape * shape * weights).sum(1), 1e-9)
     return albedo
 
 
 def deviation(residual: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the weighted root mean square [P] of the residuals [P,K]."""
+    """Return the weighted root mean square [P] of the residuals [P,K]; weights [P,K]."""
     deviations: np.ndarray = np.sqrt((weights * residual * residual).sum(1) / np.maximum(weights.sum(1), 1e-9))
     return deviations
 
 
 def irls_weights(residual: np.ndarray, weights: np.ndarray, current: np.ndarray) -> np.ndarray:
-    """Return robust weights [P,K]: lower where a residual is larger than usual by the current weights.
+    """Return robust weights [P,K], which are lower for larger residuals.
 
-    left, weights, current [P,K]: the residuals, the weights without regard to them, and those of the round before.
-    Bright outliers, such as highlights, lose more than dark ones.
+    residual [P,K]. weights [P,K]: the weights without regard to the residuals. current [P,K]: the weights of the
+    previous round, which give the residuals' deviation. Bright outliers, such as highlights, lose more weight than dark
+    ones.
     """
     spread = deviation(residual, current)[:, None] + 1e-6
     high, low = np.maximum(residual, 0) / (ABOVE * spread), np.minimum(residual, 0) / (BELOW * spread)

@@ -1,8 +1,8 @@
-"""Calibration of a flash: its place beside the lens and the other light, four numbers for a whole capture.
+"""Calibration of a flash: its offset from the lens and the other light, four parameters for a whole capture.
 
-A lamp a hand's breadth off the lens tilts all normals that are read from it; a little light from everywhere, and
-interreflection in hollows, flatten them. All points' observations together tell these apart (Gauss-Newton, each point's
-albedo being solved for on the way: variable projection, Golub and Pereyra 1973).
+An unmodelled offset of a few centimetres tilts all estimated normals. Unmodelled ambient light and interreflection
+flatten them. The observations of all points together determine the parameters, by Gauss-Newton with the points' albedos
+eliminated (variable projection, Golub and Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from mgsr.shading.flash import Flash, deviation, irls_weights, least_squares_sca
 from mgsr.shading.observations import Observations
 from mgsr.shading.target_normals import MIN_OBSERVATIONS
 
-POINTS = 3000  # whose observations tell of the light
-STEPS = 40  # at most
-STEP_TOLERANCE = 3e-4  # of the distance to the surface; a step of the lamp by less is the last
-ROUNDS = 4  # of new weights in a step
-DAMPING = 1e-3  # of a step, where the capture hardly tells of a number (Levenberg and Marquardt)
-MAX_OFFSET = 0.25  # of the distance to the surface; how far off the lens a lamp may be
+POINTS = 3000  # approximate number of points in the fit
+STEPS = 40  # most Gauss-Newton steps
+STEP_TOLERANCE = 3e-4  # of the distance to the surface; the fit ends when the lamp moves by less
+ROUNDS = 4  # of reweighting in a step
+DAMPING = 1e-3  # of Levenberg and Marquardt, for weakly constrained parameters
+MAX_OFFSET = 0.25  # of the distance to the surface; largest offset of the lamp from the lens
 
 
 def fit_flash(
@@ -34,9 +34,9 @@ def fit_flash(
     occlusion: AmbientOcclusion,
     start: Flash,
 ) -> Flash:
-    """Fit the flash that explains the observations of a surface's points [P,3] with normals [P,3].
+    """Fit the flash that explains the observations of a surface's points [P,3] with unit normals [P,3].
 
-    cameras: those of the photographs; start: where the search begins, returned where too few photographs see the
+    cameras: those of the photographs. start: the initial guess, which is returned if too few photographs see the
     points.
     """
     seen = np.flatnonzero(observations.counts >= MIN_OBSERVATIONS)
@@ -61,9 +61,9 @@ def fit_flash(
 class _Equations:
     """The shading equations of P points in K photographs each.
 
-    to_lens [P,K,3]: the way to the lens; sides [P,K,2,3]: the camera's axes to the right and down; cosines [P,K] and
-    tilts [P,K,2]: the components of both along the normal; ambient [P,K,2]: the open share of the sky, and the
-    interreflected light.
+    to_lens [P,K,3]: the vector to the lens, in the scene's frame and unit. sides [P,K,2,3]: the camera's x and y axes.
+    cosines [P,K], tilts [P,K,2]: the components of to_lens and sides along the normal. ambient [P,K,2]: the sky
+    visibility and the interreflected light.
     """
 
     to_lens: np.ndarray
@@ -73,7 +73,7 @@ class _Equations:
     ambient: np.ndarray
 
     def shade(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the brightness [P,K] of an albedo of 1 at the values [4] of a `Flash`, and its derivatives [P,K,4]."""
+        """Return the brightness [P,K] at an albedo of 1, and its derivatives [P,K,4], for a `Flash`'s values [4]."""
         to_lamp = self.to_lens + np.einsum("s,pksi->pki", values[:2], self.sides)
         square = (to_lamp**2).sum(axis=-1)
         lamp = np.maximum(self.cosines + self.tilts @ values[:2], 0) / square**1.5
@@ -89,6 +89,7 @@ def _equations(
     cameras: Sequence[Camera],
     occlusion: AmbientOcclusion,
 ) -> _Equations:
+    """Return the shading equations of points [P,3] with unit normals [P,3], in the scene's frame."""
     to_lens = observations.view_directions.astype(float) * observations.distances[..., None]
     sides = np.stack([camera.cam_from_world[:2, :3] for camera in cameras])[observations.photographs]
     sky_visibility, interreflection = occlusion.at(points, observations.photographs)
@@ -98,16 +99,16 @@ def _equations(
 
 
 def _step(shade: np.ndarray, slopes: np.ndarray, brightness: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the Gauss-Newton step [4] that lets the shade [P,K], times each point's albedo, fit the brightness [P,K].
+    """Return the Gauss-Newton step [4] for fitting albedo times shade [P,K] to brightness [P,K].
 
-    slopes [P,K,4]: the derivatives of the shade; weights [P,K].
+    slopes [P,K,4]: the derivatives of the shade. weights [P,K]. Each point's albedo is eliminated.
     """
     current = weights
     for _ in range(ROUNDS):
         albedo = least_squares_scale(brightness, shade, current)
         residual = brightness - albedo[:, None] * shade
         current = irls_weights(residual, weights, current)
-    # What a change of albedo would do as well is no reason for a change of the light.
+    # Variable projection: remove the part of the slopes that a change of albedo explains.
     total = np.maximum((current * shade**2).sum(axis=1), 1e-12)
     along = np.einsum("pk,pkv->pv", current * shade, slopes) / total[:, None]
     slopes = albedo[:, None, None] * (slopes - shade[..., None] * along[:, None])

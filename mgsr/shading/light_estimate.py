@@ -1,4 +1,4 @@
-"""The light of a capture: which light model explains its photographs on a mesh."""
+"""The choice of the light model that explains a capture's photographs on a mesh."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from mgsr.shading.flash import flash_ratio
 from mgsr.shading.light_models import EnvironmentLight, FlashLight, LightModel, fit_mirrored_environment
 from mgsr.shading.photo_set import Observer, PhotoSet
 
-# The share of what differs between the photographs that an environment map may leave unexplained on a surface that is
-# known roughly; a map that leaves more is not believed.
+# Largest residual ratio of an environment map on an approximate surface; a map with a larger one is rejected.
 MAX_ENVIRONMENT_RATIO = 0.85
-COMPARED_EDGE = 2.0  # pixels; edges of the mesh on which the light models are compared
+COMPARED_EDGE = 2.0  # pixels; edge length of the mesh on which the light models are compared
 
 
 class LightKind(StrEnum):
-    """The light of a capture, as far as the photographs tell.
+    """The kind of light in a capture.
 
-    flash: on the camera; environment: standing still, mirrored by the surface; unknown: neither explains enough.
+    flash: a lamp on the camera. environment: static light that the surface mirrors. unknown: neither explains the
+    photographs well enough.
     """
 
     FLASH = "flash"
@@ -30,10 +30,10 @@ class LightKind(StrEnum):
 
 @dataclass(frozen=True)
 class LightEstimate:
-    """What is known of the light.
+    """The estimate of the light.
 
-    model: None for an unknown light; it keeps the lamp's place and refines it with the mesh. searches: how often the
-    light models have been compared, each time on a better mesh.
+    model: the light model, which keeps the lamp's position and refines it with the mesh; None for an unknown light.
+    searches: the number of comparisons of the light models, each on a better mesh.
     """
 
     kind: LightKind = LightKind.UNKNOWN
@@ -42,9 +42,9 @@ class LightEstimate:
 
 
 def estimate_light(mesh: Mesh, photos: PhotoSet, max_ratio: float, known: LightEstimate) -> LightEstimate:
-    """Choose the light model that leaves the least residual on a mesh as it is.
+    """Choose the light model with the least residual ratio on a mesh.
 
-    Where that is more than the share `max_ratio`, the light is unknown. known: the estimate so far.
+    max_ratio: the largest ratio of an accepted model; above it, the light is unknown. known: the previous estimate.
     """
     observer = Observer(photos.linear, photos.pixel_on(mesh), photos.threads)
     coarse, searches = coarser(mesh, COMPARED_EDGE * observer.pixel), known.searches + 1

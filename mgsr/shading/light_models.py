@@ -1,4 +1,4 @@
-"""Light models: how a flash or an environment map explains a mesh's shading, and the normals that they ask for."""
+"""Light models of a flash and of an environment map, and the target normals that they give for a mesh."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ from mgsr.shading.photo_set import Observer
 from mgsr.shading.pixel_footprint import deconvolve
 from mgsr.shading.target_normals import TargetNormals
 
-OCCLUSION_EDGE = 4.0  # pixels; of the mesh on which ambient occlusion is found
-ENVIRONMENT_EDGE = 2.0  # pixels; of the mesh from which the environment map is fitted
-IRRADIANCE_EDGE = 1.5  # pixels; of the mesh that carries a flash's light
-FINE = 1.25  # pixels; edges of a mesh under which it shows what pixels mix
-BRIGHTEST = 0.995  # of the places that photographs show; one that is brighter counts as bright as these
-FRONTAL = 0.5  # cosine of the tilt under which gloss mirrors more than one map for all tilts can tell (Fresnel)
-POOL = 2.5  # pixels over which the observations of neighbours are put together
-CONVEX = 0.12  # bend, in radians a pixel, from which an edge is left alone: it shows too little of each of its tilts
+OCCLUSION_EDGE = 4.0  # pixels; edge length of the mesh for ambient occlusion
+ENVIRONMENT_EDGE = 2.0  # pixels; edge length of the mesh for the fit of the environment map
+IRRADIANCE_EDGE = 1.5  # pixels; edge length of the mesh that carries a flash's light
+FINE = 1.25  # pixels; on meshes with shorter edges, observations are corrected for the pixels' footprints
+BRIGHTEST = 0.995  # quantile of the irradiance that counts as the brightest light
+FRONTAL = 0.5  # least cosine of the tilt; at grazing angles, reflection is stronger than one map can model (Fresnel)
+POOL = 2.5  # pixels over which the costs of neighbours are pooled
+CONVEX = 0.12  # radians per pixel; convex edges that bend more are kept, as pixels show too little of each side
 
 
 class LightModel(Protocol):
-    """A light model."""
+    """A model of the light on a mesh, fitted to the photographs."""
 
     def explain(self, mesh: Mesh) -> TargetNormals:
-        """Return the normals of a mesh's vertices that the light asks for."""
+        """Return the target normals of a mesh's vertices under this light."""
 
     def lighting(self, mesh: Mesh) -> Lighting | None:
-        """Return how the light falls on a mesh, where it comes with the camera; else None."""
+        """Return the flash's light on a mesh; None for a static light."""
 
     def environment(self, mesh: Mesh) -> FittedEnvironmentMap | None:
-        """Return the environment map that a mesh mirrors, where the light stands still; else None."""
+        """Return the environment map that a mesh mirrors; None for a flash."""
 
 
 class FlashLight:
-    """A lamp that moves with the camera; each call of `explain` refines its place, as the mesh is refined."""
+    """A lamp that moves with the camera. Each call of `explain` refines its position on the refined mesh."""
 
     def __init__(self, observer: Observer, mesh: Mesh, observations: Observations) -> None:
         """Estimate the lamp from the observations of a mesh's vertices."""
@@ -72,7 +72,7 @@ class FlashLight:
         observations, points = self._observer.observe(mesh, lamps), mesh.vertices
         flash = fit_flash(observations, points, mesh.double_normals, self._cameras, occlusion, self._flash)
         sky_visibility, interreflection = occlusion.at(points, observations.photographs)
-        # Interreflection is taken as its mean over the photographs that show the place: it changes little.
+        # Interreflection varies little between photographs, so its mean over those that show the place is enough.
         seen = observations.weights > 0
         bounced = (interreflection * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
         ambient = flash.ambient * sky_visibility + flash.bounced * bounced
@@ -117,7 +117,7 @@ class FlashLight:
 
 
 class EnvironmentLight:
-    """An environment that stands still and is mirrored by the surface."""
+    """A static environment that the surface mirrors."""
 
     def __init__(self, observer: Observer) -> None:
         self._observer = observer
@@ -139,17 +139,17 @@ class EnvironmentLight:
 
 
 def fit_mirrored_environment(observations: Observations, normals: np.ndarray) -> FittedEnvironmentMap:
-    """Fit the environment map that points with normals [P,3] mirror.
+    """Fit the environment map that points with unit normals [P,3] mirror.
 
-    Observations under FRONTAL's tilt alone are used.
+    Only observations at a cosine of FRONTAL or more count.
     """
     return fit_environment_map(observations.frontal(FRONTAL), normals)
 
 
 def _nearest(target: np.ndarray, mesh: Mesh) -> np.ndarray:
-    """Return for each vertex of a mesh the nearest target vertex along the edges, by index [V].
+    """Return the index [V] of each vertex's nearest target vertex along the edges.
 
-    target [V] bool. A vertex from which no path leads to a target gets its own index.
+    target [V] bool. A vertex without a path to a target gets its own index.
     """
     vertices, edges = mesh.vertices, mesh.edges
     own = np.arange(len(vertices))
@@ -164,7 +164,10 @@ def _nearest(target: np.ndarray, mesh: Mesh) -> np.ndarray:
 
 
 def _near_sharp_edges(mesh: Mesh, pixel: float, reach: float) -> np.ndarray:
-    """Return how near each vertex lies to a sharp convex edge, [V]: from 1 beside one to 0 far from all."""
+    """Return each vertex's nearness [V] to sharp convex edges: 1 beside an edge, 0 far from all.
+
+    pixel: the size of a pixel, in the scene's unit. reach: the distance over which it falls, in edge lengths.
+    """
     vertices, laplacian, normals = mesh.vertices, mesh.laplacian, mesh.double_normals
     steps = laplacian @ vertices
     length = np.sqrt(np.maximum((laplacian @ (vertices**2)).sum(1) - 2 * (vertices * steps).sum(1), 1e-20))

@@ -1,7 +1,7 @@
-"""Irradiance of a surface by a flash, for any camera: the part of the brightness that is not the object's own.
+"""Irradiance of a surface by a flash, for any camera.
 
-A lamp on the camera moves with it, and with it move shading and shadows. Once lamp and surface are known both can be
-computed for each photograph; what is left to be learned of it changes little from view to view.
+A lamp on the camera moves with it, and so do shading and shadows. Once lamp and surface are known, both can be computed
+for each photograph. The remaining brightness, which training learns, changes little between views.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import map_ahead
 
 GAMMA = 2.4  # of sRGB, away from black
-RAYS = 512  # along an image's longer side at least: small images take several rays a pixel
-BAND = 1 << 18  # rays at a time, about
-DIMMEST = 0.02  # light under which a photograph hardly tells what colour lies there
+RAYS = 512  # least number of rays along an image's longer side; small images take several rays for a pixel
+BAND = 1 << 18  # approximate number of rays in a batch
+DIMMEST = 0.02  # least irradiance at which a photograph shows a surface's colour
 
 
 @dataclass(frozen=True)
 class Lighting:
     """A surface and the lamp that lights it.
 
-    right, down: the lamp's place in the camera's frame, from the lens. lamp: the light that it sends to a surface that
-    faces it at a distance of 1; ambient [V]: the light that each vertex of the mesh gets otherwise. Both are shares of
-    the brightest light in the photographs. proxy_vertex [V]: the vertex as which each is lit. Where photographs confirm
-    the surface it is the vertex itself; elsewhere the surface may be folded, and it is the nearest confirmed one.
+    right, down: the lamp's offset from the lens along the camera's x and y axes, in the scene's unit. lamp: the
+    irradiance of a surface that faces the lamp at a distance of 1. ambient [V]: the other irradiance of each vertex.
+    Both are relative to the brightest irradiance in the photographs. proxy_vertex [V]: the vertex that stands in for
+    each vertex in the lighting: itself if a photograph shows it, else the nearest vertex that one shows, as the unseen
+    surface may be folded.
     """
 
     mesh: Mesh
@@ -44,9 +45,9 @@ class Lighting:
     lamp: float
 
     def seen_by(self, camera: Camera) -> np.ndarray:
-        """Return the irradiance of what a camera sees, [H,W] uint8, encoded as `View.irradiance`.
+        """Return the irradiance [H,W] uint8 of the surface in a camera's image, encoded as `View.irradiance`.
 
-        Pixels beside the surface take the value of its nearest pixel.
+        Pixels without surface take the value of the nearest pixel with one.
         """
         light, seen = np.zeros((camera.height, camera.width)), np.zeros((camera.height, camera.width), np.intp)
         for part, pixels in self._parts(camera):
@@ -58,7 +59,7 @@ class Lighting:
         return to_uint8(255 * np.clip(mean, DIMMEST, 1) ** (1 / GAMMA))
 
     def falling_on(self, camera: Camera, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """Return the irradiance [P] of points [P,3] beside the surface, in a camera's photograph.
+        """Return the irradiance [P] of points [P,3] near the surface, in a camera's photograph.
 
         normals [P,3]: unit. In the lamp's shadow the irradiance is 0.
         """
@@ -69,7 +70,7 @@ class Lighting:
         return np.asarray(reached * (self.lamp * lamp_light(place - points, normals) + ambient))
 
     def moved(self, to: Similarity) -> Lighting:
-        """Return the same lighting in the frame that `to` leads to."""
+        """Return the lighting in the user's frame, which the similarity `to` defines."""
         longer = to.scale
         return replace(
             self,
@@ -85,13 +86,13 @@ class Lighting:
 
     @cached_property
     def _attributes(self) -> np.ndarray:
-        """Return what is interpolated at each vertex, [V,7] float32: place, normal, and light besides the lamp's."""
+        """Return the interpolated attributes [V,7] float32 of each vertex: position, normal, and ambient irradiance."""
         attributes = np.concatenate([self.mesh.vertices, self.mesh.normals, self.ambient[:, None]], axis=1)
         values: np.ndarray = attributes[self.proxy_vertex].astype(np.float32)
         return values
 
     def _parts(self, camera: Camera) -> Iterator[tuple[tuple[slice, slice], np.ndarray]]:
-        """Yield the parts of an image in which the surface may be, some rows at a time.
+        """Yield the parts of an image that may show the surface, a few rows at a time.
 
         Each comes with the pixel coordinates [H,n,W,n,2] of n x n rays in each of its H x W pixels.
         """
@@ -111,7 +112,7 @@ class Lighting:
             yield (slice(top, end), slice(first[0], last[0])), pixels
 
     def _light_at(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the sum of the light [H,W] over each pixel's rays that meet the surface, and their number [H,W].
+        """Return the summed irradiance [H,W] of each pixel's rays that hit the surface, and their number [H,W].
 
         pixels [H,n,W,n,2]: the rays' pixel coordinates.
         """
@@ -128,7 +129,7 @@ class Lighting:
 
 
 def lamp_light(to_lamp: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return the irradiance [...] by a lamp at the offsets to_lamp [...,3] from surfaces with unit normals [...,3].
+    """Return the irradiance [...] by a point light at offsets to_lamp [...,3] from points with unit normals [...,3].
 
     It is 1 for a surface that faces the lamp at a distance of 1 (Lambert).
     """

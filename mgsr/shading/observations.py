@@ -1,4 +1,4 @@
-"""Observations of a surface: how bright each point is in the photographs that see it."""
+"""Observations of a surface: the brightness of its points in the photographs that see them."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
 
-MIN_COS = 0.25  # of the tilt; what is seen more grazing is left out
-SOLID = 0.97  # of alpha; pixels under it mix object and background
-CLIPPED = 0.98  # of the brightest channel; pixels above it hide how bright they were
-KEPT = 24  # observations of a point, those that see it most frontal
+MIN_COS = 0.25  # least cosine between normal and view direction
+SOLID = 0.97  # least alpha; pixels below it mix object and background
+CLIPPED = 0.98  # largest value of the brightest channel; pixels above it are clipped
+KEPT = 24  # most observations of a point, the most frontal ones
 
 
 @dataclass(frozen=True)
 class Observations:
     """Observations of P points, each in at most K photographs, float32.
 
-    view_directions [P,K,3]: unit directions to the camera; distances [P,K] to it; brightness [P,K]: the mean of the
-    channels in linear light; weights [P,K]: the cosine of the tilt where the point is seen and the pixel is of use,
-    else 0; photographs [P,K] int: the photographs' indices.
+    view_directions [P,K,3]: unit directions to the camera, in the scene's frame. distances [P,K]: to the camera, in the
+    scene's unit. brightness [P,K]: the mean of the channels in linear light. weights [P,K]: the cosine of the tilt
+    where the point is visible at a usable pixel, else 0. photographs [P,K] int: the photographs' indices.
     """
 
     view_directions: np.ndarray
@@ -39,16 +39,16 @@ class Observations:
 
     @property
     def counts(self) -> np.ndarray:
-        """Return how many photographs tell of each point, [P]."""
+        """Return the number [P] of photographs that observe each point."""
         seen: np.ndarray = (self.weights > 0).sum(axis=1)
         return seen
 
     def at(self, points: np.ndarray) -> Observations:
-        """Return the observations of some of the points, by their indices."""
+        """Return the observations of the points with the given indices [Q]."""
         return Observations(*(array[points] for array in _arrays(self)))
 
     def frontal(self, least: float) -> Observations:
-        """Return the same observations, but those under a cosine of the tilt of `least` count as unseen."""
+        """Return the observations with weight 0 for those at a cosine below `least`."""
         return replace(self, weights=np.where(self.weights >= least, self.weights, 0))
 
 
@@ -56,9 +56,9 @@ class Observations:
 class LinearPhotograph:
     """A photograph in linear light.
 
-    brightness [H,W] float32: the mean of the channels, 0 where nothing is known; usable [H,W] bool: pixels that show
-    the object alone and are not clipped; valid_mask [H,W] bool: pixels that are valid together with their neighbours,
-    None if all are.
+    brightness [H,W] float32: the mean of the channels, 0 at invalid pixels. usable [H,W] bool: the pixels that show the
+    object alone and are not clipped. valid_mask [H,W] bool: the pixels that are valid together with their neighbours;
+    None: all.
     """
 
     camera: Camera
@@ -79,10 +79,11 @@ def observe_photographs(
     threads: int | None = None,
     lamps: np.ndarray | None = None,
 ) -> Observations:
-    """Read the photographs' brightness at the vertices of a mesh.
+    """Sample the photographs' brightness at the vertices of a mesh.
 
-    gap: how far a vertex may lie behind the mesh. lamps [N,3]: the lamp's place for each photograph; a vertex in its
-    shadow counts as unseen. At most KEPT observations of a vertex are kept, those that see it most head-on.
+    gap: the largest depth of a vertex behind the mesh, in the scene's unit. lamps [N,3]: the lamp's position for each
+    photograph, in the scene's frame; a vertex in its shadow counts as not visible. Each vertex keeps at most KEPT
+    observations, the most frontal ones.
     """
     count = len(mesh.vertices)
 
@@ -108,9 +109,10 @@ def seen_frontal(
     gap: float,
     valid_mask: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the indices of the points [P,3] of a mesh that are frontal and that the camera sees.
+    """Return the indices [Q] of the frontal points that a camera sees.
 
-    normals [P,3]: unit; frontal [P] bool; gap: how far a point may lie behind the mesh; valid_mask: as for
+    points [P,3]: of a mesh, in the scene's frame. normals [P,3]: unit. frontal [P] bool: which points face the camera.
+    gap: the largest depth of a point behind the mesh, in the scene's unit. valid_mask [H,W] bool: as for
     `RayCaster.sees`.
     """
     index = np.flatnonzero(frontal)
@@ -119,13 +121,13 @@ def seen_frontal(
 
 
 def read_image(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Interpolate the image [H,W] bilinearly at pixel coordinates [P,2] (centres at +0.5), held at the border."""
+    """Sample an image [H,W] bilinearly at pixel coordinates [P,2] (centres at +0.5), clamped at the border."""
     values: np.ndarray = map_coordinates(image, [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5], order=1, mode="nearest")
     return values
 
 
 def lie_within(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Return which of the pixel coordinates [P,2] lie between pixels of the mask [H,W] bool alone, [P] bool."""
+    """Return which pixel coordinates [P,2] have only neighbours inside a mask [H,W] bool, as [P] bool."""
     return read_image(mask.astype(np.float32), pixels) > 0.99
 
 
@@ -137,11 +139,12 @@ def _linear(view: View) -> LinearPhotograph:
         usable &= view.alpha >= SOLID * 255
     if view.valid_mask is None:
         return LinearPhotograph(view.camera, linear, usable)
-    valid_mask = valid_inside(view.valid_mask, 1)  # so that interpolation between usable pixels meets no unknown one
+    valid_mask = valid_inside(view.valid_mask, 1)  # so that interpolation never reads an invalid pixel
     return LinearPhotograph(view.camera, np.where(view.valid_mask, linear, 0), usable & valid_mask, valid_mask)
 
 
 def _arrays(observations: Observations) -> tuple[np.ndarray, ...]:
+    """Return the arrays of the observations, [P,K] or [P,K,3], in the order of the fields."""
     return (
         observations.view_directions,
         observations.distances,
@@ -154,9 +157,9 @@ def _arrays(observations: Observations) -> tuple[np.ndarray, ...]:
 def _read(
     mesh: Mesh, photograph: LinearPhotograph, lamp: np.ndarray | None, gap: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Read one photograph's column of the observations of a mesh's vertices, without its index.
+    """Sample one photograph at a mesh's V vertices: directions [V,3], distances, brightness and weights [V] each.
 
-    lamp [3]: the lamp's place, or None; gap: how far a vertex may lie behind the mesh.
+    lamp [3]: the lamp's position in the scene's frame, or None. gap: the largest depth of a vertex behind the mesh.
     """
     caster, points, normals = mesh.caster, mesh.vertices, mesh.double_normals
     camera = photograph.camera

@@ -1,4 +1,4 @@
-"""The photographs of a capture, in the forms that refinement needs, each made once."""
+"""The photographs of a capture, with derived data for refinement that is computed once."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from mgsr.shading.observations import LinearPhotograph, Observations, linear_pho
 class PhotoSet:
     """The photographs of a capture.
 
-    views: the training views; silhouettes: of their masks, at any size, none without masks; threads: the cores to use,
-    None for all.
+    views: the training views. silhouettes: of their masks, at any size; empty without masks. threads: the cores to use;
+    None: all.
     """
 
     views: Sequence[View]
@@ -39,18 +39,18 @@ class PhotoSet:
         return [find_contour(silhouette) for silhouette in self.silhouettes]
 
     def pixel_on(self, mesh: Mesh) -> float:
-        """Return the size of a pixel at the middle of a mesh, in the scene's unit."""
+        """Return the size of a pixel at a mesh's centroid, in the scene's unit."""
         return pixel_size([view.camera for view in self.views], mesh.vertices.mean(axis=0))
 
 
 @dataclass(frozen=True)
 class Observer:
-    """Linear photographs, to be read at the vertices of meshes; pixel: a pixel's size on them."""
+    """Photographs in linear light that observe meshes; pixel: a pixel's size on the meshes, in the scene's unit."""
 
     photographs: Sequence[LinearPhotograph]
     pixel: float
     threads: int | None
 
     def observe(self, mesh: Mesh, lamps: np.ndarray | None = None) -> Observations:
-        """Read the photographs at a mesh's vertices. lamps: as for `observe_photographs`."""
+        """Sample the photographs at a mesh's vertices. lamps [N,3]: as for `observe_photographs`."""
         return observe_photographs(mesh, self.photographs, self.pixel, self.threads, lamps)

@@ -1,13 +1,14 @@
-"""Photometric multi-view refinement: a surface is moved to where the photographs agree on what lies on it.
+"""Photometric multi-view refinement: a surface is moved to where it is photo-consistent.
 
-Where a mesh lies before or behind the true surface, each photograph shows another place of it under the same vertex.
-Fine texture and creases tell by how much; what is coarser comes from the light, whose shades and highlights have a
-parallax of their own, and is left out. This is Lucas and Kanade's (1981) registration with one displacement a vertex,
-along its normal, under a thin plate: variational stereo, as in Faugeras and Keriven (1998) and Vu and others (2012).
+Where a mesh lies before or behind the true surface, the photographs show different places at the same vertex. Fine
+texture and creases determine the displacement. Coarser variation is left out, as it includes shading and highlights,
+which have a parallax of their own. The method is Lucas and Kanade's (1981) registration with one displacement for each
+vertex, along its normal, under a thin-plate prior: variational stereo, as in Faugeras and Keriven (1998) and Vu and
+others (2012).
 
-Where the light stands still, what gloss mirrors moves all the same; where the environment map is known, an observation
-counts less the more of the detail around it is mirrored. And contours must hold the surface: parallax alone draws it
-inwards, by 3 per mille of its radius from the very truth of a painted cow.
+Reflections move across the surface even under static light. If the environment map is known, an observation counts
+less the more mirrored detail surrounds it. The silhouette contours must hold the surface, as parallax alone pulls it
+inwards: by 0.3% of the radius from the ground truth of a painted cow.
 """
 
 from __future__ import annotations
@@ -29,19 +30,19 @@ from mgsr.shading.photo_set import PhotoSet
 
 @dataclass(frozen=True)
 class PhotometricOptions:
-    """Numbers of the photometric refinement; pixels are those of the photographs on the surface."""
+    """Settings of the photometric refinement; pixels are those of the photographs on the surface."""
 
-    edge: float = 1.5  # pixels; edges of the mesh at whose vertices the photographs are read
-    coarse_edge: float = 4.0  # pixels; edges of the mesh on which displacements are found, as they are smooth
-    rounds: int = 3  # of reading the photographs and moving the vertices
-    limit: float = 1.0  # pixels that a vertex moves in a round at most
-    noise_reach: float = 3.0  # pixels over which what a displacement cannot explain is averaged
+    edge: float = 1.5  # pixels; edge length of the mesh at whose vertices the photographs are sampled
+    coarse_edge: float = 4.0  # pixels; edge length of the mesh that carries the smooth displacements
+    rounds: int = 3  # of sampling the photographs and moving the vertices
+    limit: float = 1.0  # pixels; largest move of a vertex in a round
+    noise_reach: float = 3.0  # pixels over which the residual variance is averaged
     outlier: float = 3.0  # deviations at which an observation counts half
-    mix_views: int = 16  # photographs, at most, by which the mix of the channels is chosen
-    mirrored: float = 0.25  # deviations of the noise; where mirrored detail varies by this, an observation counts half
-    precision: float = 0.3  # pixels; a displacement known to this has weight 1 in the thin plate
-    contour_precision: float = 0.1  # pixels to which a mask's contour is known
-    prior_weight: float = 1e-4  # of a vertex's own place, for those of which nothing tells
+    mix_views: int = 16  # most photographs for the choice of the channel mix
+    mirrored: float = 0.25  # times the noise; mirrored detail of this size halves an observation's weight
+    precision: float = 0.3  # pixels; standard deviation of a displacement that has weight 1 in the thin plate
+    contour_precision: float = 0.1  # pixels; standard deviation of a mask's contour
+    prior_weight: float = 1e-4  # of a displacement of 0, for vertices without observations
 
 
 def refine_photometrically(
@@ -52,11 +53,11 @@ def refine_photometrically(
     go_on: Callable[[], bool] = lambda: True,
     options: PhotometricOptions = PhotometricOptions(),
 ) -> Mesh:
-    """Return the mesh with its vertices moved along their normals so that the photographs agree at them.
+    """Move a mesh's vertices along their normals to photo-consistent positions.
 
-    photos: their silhouette contours hold the surface. reach: pixels over which a displacement spreads that is known to
-    `options.precision`. light_model: the light of the photographs, if that is known. go_on: asked before every round;
-    once it says no, no more rounds follow.
+    photos: the photographs; their silhouette contours hold the surface. reach: the distance, in pixels, over which a
+    displacement with a deviation of `options.precision` spreads. light_model: the light of the photographs; None:
+    unknown. go_on: called before every round; the refinement ends once it returns False.
     """
     pixel = photos.pixel_on(mesh)
     light = KnownLight.known_by(light_model, mesh)
@@ -80,9 +81,9 @@ def refine_photometrically(
 
 
 def _plate(points: np.ndarray, coarse: Mesh, reach: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Return a function that smooths displacements of points [P,3] by a thin plate on a coarse mesh beside them.
+    """Return a function that smooths displacements of points [P,3] by a thin plate on a coarse mesh near them.
 
-    It takes the points' target displacements [P] and their weights [P], and returns displacements [P].
+    The function takes the points' target displacements [P] and weights [P], and returns displacements [P].
     """
     prolongation = coarse.prolongation(points)
     steps = reach / coarse.edge_length * (len(points) / len(coarse.vertices)) ** 0.25
@@ -92,7 +93,7 @@ def _plate(points: np.ndarray, coarse: Mesh, reach: float) -> Callable[[np.ndarr
 
 
 def _registered(details: Details, surface: ObservedMesh, options: PhotometricOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Return the displacements [V], in pixels, after which the photographs agree best, and their weights [V]."""
+    """Return the most photo-consistent displacements [V], in pixels, and their weights [V]."""
     weights = details.weights
     noise = _noise(centered(details.mixed, weights), weights)
     weights = weights / (1 + (details.mirrored / (options.mirrored * noise)) ** 2)
@@ -111,8 +112,8 @@ def _registered(details: Details, surface: ObservedMesh, options: PhotometricOpt
 
 
 def _noise(residual: np.ndarray, weights: np.ndarray) -> float:
-    """Return the robust deviation of the residuals [V,K] where the weights [V,K] are above 0.
+    """Return the robust standard deviation of the residuals [V,K] with positive weights [V,K].
 
-    It is the median absolute residual times 1.4826; 1 where no weight is above 0.
+    It is the median absolute residual times 1.4826, or 1 if no weight is positive.
     """
     return 1.4826 * float(np.median(np.abs(residual[weights > 0]))) + 1e-9 if weights.any() else 1.0

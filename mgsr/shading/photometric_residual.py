@@ -1,8 +1,8 @@
-"""The photometric residual of a surface under a flash, by which holes are found.
+"""The photometric residual of a surface under a flash, for the detection of missing holes.
 
-A flash on the camera leaves nothing unknown of the light, so that each place should be as bright in one photograph as
-in another once the light on it is divided out. Where they differ by more than the surface's own error explains, they
-look past it: into a hole that it covers, say.
+The light of a flash on the camera is fully known. So a place has the same brightness in all photographs once the
+irradiance is divided out. Where photographs differ by more than the surface's position error explains, they see past
+the surface, for example into a hole that it covers.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from mgsr.shading.photo_set import PhotoSet
 
 @dataclass(frozen=True)
 class ResidualOptions:
-    """Numbers of the photometric residual."""
+    """Settings of the photometric residual."""
 
-    edge: float = 1.5  # pixels; edges of the mesh at whose vertices the photographs are read
-    surface_error: float = 0.7  # pixels by which the surface may be off; differences that this explains do not count
+    edge: float = 1.5  # pixels; edge length of the mesh at whose vertices the photographs are sampled
+    surface_error: float = 0.7  # pixels; tolerated position error of the surface
     averaged: float = 3.0  # pixels over which the residual is averaged
-    forgiven: float = 6.0  # times the median over the surface, which is noise and gloss
+    forgiven: float = 6.0  # times the median over the surface; residuals below this are noise and gloss
 
 
 def photometric_residual(
@@ -37,10 +37,10 @@ def photometric_residual(
     light_model: LightModel,
     options: ResidualOptions = ResidualOptions(),
 ) -> np.ndarray:
-    """Return each vertex's photometric residual [V], in sRGB 0..1, less what is usual all over the surface.
+    """Return each vertex's photometric residual [V], in sRGB 0..1, above the level of noise.
 
-    It tells how much the photographs differ about the vertex, once the flash's light and an error in the surface's
-    place are taken off; 0 where too few photographs show it.
+    It is the median difference between the photographs at the vertex, after correction for the flash's light and for
+    the surface's position error. It is 0 where too few photographs show the vertex.
     """
     pixel, threads = photos.pixel_on(mesh), photos.threads
     light = KnownLight.known_by(light_model, mesh)
@@ -61,9 +61,9 @@ def photometric_residual(
 
 
 def _column(surface: ObservedMesh, photograph: ChannelMix, light: KnownLight) -> np.ndarray:
-    """Return a photograph's values at the vertices under even light, and their slopes: [2,V], NaN where unknown.
+    """Return a photograph's values under even light at the vertices, and their slopes, as [2,V]; NaN where unknown.
 
-    A slope is the change of the value from a pixel to the next.
+    A slope is the magnitude of the image gradient, per pixel.
     """
     samples = sample_view(surface, photograph, light)
     told = np.full((2, len(surface.mesh.vertices)), np.nan, np.float32)
@@ -75,9 +75,6 @@ def _column(surface: ObservedMesh, photograph: ChannelMix, light: KnownLight) ->
 
 
 def _median(values: np.ndarray) -> np.ndarray:
-    """Return the median of each row's numbers that are not NaN (of two in the middle, the lower), [V]; else NaN.
-
-    values [V,K].
-    """
+    """Return the lower median [V] of each row of values [V,K], without NaNs; NaN for a row of NaNs."""
     counts = np.isfinite(values).sum(axis=1, keepdims=True)
     return np.take_along_axis(np.sort(values, axis=1), np.maximum(counts - 1, 0) // 2, axis=1)[:, 0]

@@ -1,9 +1,10 @@
 """Correction of observations for the footprints of pixels.
 
-A pixel shows the mean of a patch of the surface, and a value between pixels that of a larger one. So creases look
-flatter than they are, and the borders of paint look like shades. The surface as it is known, seen through the same
-pixels, is mixed alike; what mixing changes there at a point is taken off the observation of it. A surface that explains
-the photographs then explains its observations too (deferred correction; of images, Van Cittert's deconvolution, 1931).
+A pixel shows the mean of a surface patch, and interpolation between pixels averages over a larger one. So creases look
+flatter than they are, and borders of paint look like shading. The current surface, rendered through the same pixels, is
+blurred in the same way. The change that the blur makes at a point is subtracted from the point's observation. A surface
+that explains the photographs then also explains its observations. This is deferred correction; for images, it is Van
+Cittert's deconvolution (1931).
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ def deconvolve(
     shown: Callable[[int, np.ndarray], np.ndarray],
     threads: int | None = None,
 ) -> Observations:
-    """Return the observations of a mesh's vertices, corrected for what the footprints of pixels mix into them.
+    """Return the observations of a mesh's vertices, corrected for the blur of the pixels' footprints.
 
-    shown: a function of a photograph's number and vertex indices [P], which returns the known
-    brightness [P] of these vertices in this photograph, as single points.
+    shown: a function of a photograph's index and vertex indices [P]. It returns the modelled brightness [P] of these
+    vertices in that photograph, as single points, in linear light.
     """
     vertices, faces, caster = mesh.vertices, mesh.faces, mesh.caster
     brightness = observations.brightness.copy()
@@ -53,7 +54,7 @@ def deconvolve(
 
 
 def _cast(caster: RayCaster, photograph: LinearPhotograph) -> PixelHits:
-    """Cast RAYS x RAYS rays through each of a photograph's U usable pixels; the hits are [U,RAYS,RAYS]."""
+    """Cast RAYS x RAYS rays through each of a photograph's U usable pixels; return the hits [U,RAYS,RAYS]."""
     rows, columns = np.nonzero(photograph.usable)
     inside = (np.arange(RAYS) + 0.5) / RAYS
     pixels = np.empty((len(rows), RAYS, RAYS, 2))
@@ -64,9 +65,10 @@ def _cast(caster: RayCaster, photograph: LinearPhotograph) -> PixelHits:
 def _through_pixels(
     hits: PixelHits, faces: np.ndarray, points: np.ndarray, usable: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Render vertices' brightness [V] through the pixels that were cast: an image [H,W] and its coverage [H,W].
+    """Render the brightness of vertices through the usable pixels: return an image [H,W] and its coverage [H,W].
 
-    usable [H,W] bool: the pixels that were cast. A pixel that meets no face has 0 in both, any other 1 in the coverage.
+    hits [U,RAYS,RAYS]: of the usable pixels' rays. faces [F,3]: vertex indices. points [V]: the vertices' brightness.
+    usable [H,W] bool. The coverage is 1 where a ray hits a face; elsewhere both are 0.
     """
     met = hits.mask
     seen, counts = np.zeros(met.shape, np.float32), met.sum(axis=(1, 2))

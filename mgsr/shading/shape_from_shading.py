@@ -1,7 +1,7 @@
-"""Shape from shading: a surface is bent to the normals that explain the photographs' shading.
+"""Shape from shading: a surface is fitted to the normals that explain the photographs' shading.
 
-Normals know the small shape best and positions the large (Nehab and others 2005), and the masks' contours hold the
-surface where they touch it. Where no light model explains the photographs, the surface stays.
+Normals determine the small-scale shape best, and positions the large-scale shape (Nehab and others 2005). The masks'
+contours hold the surface where they touch it. If no light model explains the photographs, the surface stays.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from mgsr.shading.target_normals import TargetNormals
 
 @dataclass(frozen=True)
 class ShadingOptions:
-    """Weights that hold the surface while its normals are integrated; pixels are those on the surface."""
+    """Weights of positions in the integration of normals; pixels are those on the surface."""
 
-    contour_weight: float = 10.0  # of the place of a vertex that a contour touches
-    prior_weight: float = 0.05  # of the place of any other
+    contour_weight: float = 10.0  # of a contour's displacement at a vertex that it touches
+    prior_weight: float = 0.05  # of a displacement of 0 at every vertex
     contour_smoothing: float = 1.5  # pixels over which the contours' displacements are smoothed
 
 
 @dataclass(frozen=True)
 class ShadingPass:
-    """Rounds of reading the photographs and bending the surface, with edges of about `edge` pixels.
+    """Rounds of estimating target normals and fitting the surface to them.
 
-    Shape larger than `reach` pixels stays as it is, except where contours move it. fairing: degrees; noise up to this
-    is smoothed before and after the rounds (`bilateral_normal_filter`); 0: none.
+    edge: the mesh's edge length, in pixels. reach: the wavelength, in pixels, above which shape stays unless contours
+    move it. fairing: the angle, in degrees, of the `bilateral_normal_filter` before and after the rounds; 0: none.
     """
 
     edge: float
@@ -54,11 +54,12 @@ def shape_from_shading(
     go_on: Callable[[], bool] = lambda: True,
     options: ShadingOptions = ShadingOptions(),
 ) -> Mesh:
-    """Return the mesh moved so that its shading explains the photographs under the estimated light.
+    """Move a mesh so that its shading under the estimated light explains the photographs.
 
-    photos: their silhouette contours hold the surface, where there are masks. estimate: its model is refined on the
-    way. passes: how each light bends the surface; a light without any bends nothing. go_on: asked before every round;
-    once it says no, no more rounds follow. progress: told after each round of the share of the rounds that are done.
+    photos: the photographs; their silhouette contours, if any, hold the surface. estimate: the light; its model is
+    refined with the mesh. passes: the passes for each kind of light; without any, the mesh stays. progress: receives
+    the share of the rounds that are done, 0..1, after each round. go_on: called before every round; no rounds follow
+    once it returns False.
     """
     if estimate.model is None:
         return mesh
@@ -81,10 +82,10 @@ def shape_from_shading(
 
 @dataclass(frozen=True)
 class _FineMesh:
-    """The full mesh that follows a coarser one, and the contours that it is held against.
+    """The full mesh that follows a coarse one, and the masks' contours that hold it.
 
-    mesh, before: both before any moves; prolongation [W,V]: from the coarse mesh's V vertices to the W of the full one;
-    contours: the coarse mesh's own would show cut corners.
+    mesh, before: the full and the coarse mesh before any moves. prolongation [W,V]: from the coarse mesh's V vertices
+    to the full mesh's W. contours: they are compared with the full mesh, as the coarse one cuts corners.
     """
 
     mesh: Mesh
@@ -93,11 +94,11 @@ class _FineMesh:
     contours: Sequence[SilhouetteContour]
 
     def moved_with(self, after: Mesh) -> Mesh:
-        """Return the full mesh once the coarse one has moved to `after`."""
+        """Return the full mesh after the coarse one has moved to `after`."""
         return self.mesh.moved(self.mesh.vertices + self.prolongation @ (after.vertices - self.before.vertices))
 
     def gaps(self, after: Mesh) -> tuple[np.ndarray, np.ndarray]:
-        """Return `contour_gaps` at the coarse mesh's vertices once it has moved to `after`."""
+        """Return both arrays [V] of `contour_gaps` for the coarse mesh's vertices after it has moved to `after`."""
         gaps, touched = contour_gaps(self.moved_with(after), self.contours)
         sums, counts = self.prolongation.T @ (gaps * touched), self.prolongation.T @ touched
         return sums / np.maximum(counts, 1e-9), counts
@@ -106,9 +107,9 @@ class _FineMesh:
 def _bend(
     mesh: Mesh, fine: _FineMesh, target: TargetNormals, reach: float, pixel: float, options: ShadingOptions
 ) -> Mesh:
-    """Return the coarse mesh moved to fit the light's normals, the contours and its own place.
+    """Fit the coarse mesh to the target normals, the contours and its own positions.
 
-    reach: in the scene's unit; larger shape stays.
+    reach: the wavelength above which shape stays, in the scene's unit. pixel: a pixel's size, in the same unit.
     """
     offsets, touched = fine.gaps(mesh)
     held, own, contour = np.minimum(touched, 1), options.prior_weight, options.contour_weight
@@ -130,7 +131,7 @@ def _fair(mesh: Mesh, angle: float) -> Mesh:
 
 
 def _mean_around(values: np.ndarray, weights: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:
-    """Average values [V] by their weights [V] over about `reach` edges around."""
+    """Return the means [V] of values [V], weighted by weights [V], over about `reach` edges around each vertex."""
     sums = diffuse(np.stack([values * weights, weights], axis=1), laplacian, reach)
     means: np.ndarray = sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
     return means

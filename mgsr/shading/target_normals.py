@@ -1,4 +1,4 @@
-"""The normals that a light model asks for."""
+"""The target normals of a light model."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MIN_OBSERVATIONS = 5  # photographs that see a point, or nothing is said of it
+MIN_OBSERVATIONS = 5  # least number of photographs that see a point; with fewer, its confidence is 0
 
 
 @dataclass(frozen=True)
 class TargetNormals:
-    """The normals [P,3] that the light asks for, unit, and the confidence in each, confidence [P], from 0 to 1."""
+    """The normals that explain the photographs under a light.
+
+    normals [P,3]: unit, in the scene's frame. confidence [P]: in each normal, 0..1.
+    """
 
     normals: np.ndarray
     confidence: np.ndarray

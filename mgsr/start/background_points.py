@@ -1,9 +1,8 @@
-"""Points of the background where stereo finds none, such as plain walls.
+"""Background points where stereo finds none, such as on plain walls.
 
-Seen from the middle of a capture, its background lies at one distance in each direction. Several distances are tried:
-where a photograph shows nothing that was found already, it shows the background, and at the right distance the
-photographs agree about its colour. On a plain wall they agree at many; there the neighbouring directions tell, by
-iterated conditional modes (Besag 1986).
+The background has one distance in each direction from the centre of a capture. Several distances are tried. At the
+right one, the photographs agree about the background's colour, unless they show a known point there. On a plain wall
+they agree at many distances; there the neighbouring directions decide, by iterated conditional modes (Besag 1986).
 """
 
 from __future__ import annotations
@@ -19,17 +18,20 @@ from mgsr.data.loading import reduced_view
 from mgsr.data.scene import PointCloud, View
 
 DIRECTIONS = 6000  # spread evenly over the sphere; 2.6 degrees apart
-NEAREST, FARTHEST, LEVELS = 1.5, 40.0, 24  # from the scene's centre; distances that are tried, evenly in their inverse
-SIDE = 40  # pixels to which photographs are reduced: what is plain needs no more
-VIEWS = 100  # photographs that are looked at, at most
-SEEN = 3  # photographs that tell of a place
-NOISE, MOST = 0.02, 0.15  # deviation of colours, sRGB 0..1, that means nothing, and one beyond which all are alike
-ALIKE, STEP = 24, 2.0  # neighbouring directions, and levels off their mean that weigh as much as NOISE
-ROUNDS = 40
+NEAREST, FARTHEST, LEVELS = 1.5, 40.0, 24  # ball radii from the scene's centre; the distances, even in their inverse
+SIDE = 40  # pixels; longer side of the reduced photographs, enough for plain surfaces
+VIEWS = 100  # most photographs to compare
+SEEN = 3  # least number of photographs that must show a place
+NOISE, MOST = 0.02, 0.15  # sRGB 0..1; colour deviation of noise, and the limit of all deviations
+ALIKE, STEP = 24, 2.0  # neighbouring directions; levels off their mean that cost as much as a deviation of NOISE
+ROUNDS = 40  # of iterated conditional modes
 
 
 def background_points(views: Sequence[View], found: np.ndarray) -> PointCloud:
-    """Return background points in directions where photographs show none of the points found [P,3]; maybe none."""
+    """Return background points in the directions where photographs show none of the found points; maybe none.
+
+    found [P,3]: in the scene's frame, as are the new points.
+    """
     reduced = [_reduced_view(view, found) for view in views[:: -(-len(views) // VIEWS)]]
     directions = _directions(DIRECTIONS)
     inverse = np.linspace(1 / FARTHEST, 1 / NEAREST, LEVELS)
@@ -40,11 +42,11 @@ def background_points(views: Sequence[View], found: np.ndarray) -> PointCloud:
     if kept.sum() <= ALIKE:
         return PointCloud(np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     directions, disagreement, colors, told = (each[kept] for each in (directions, disagreement, colors, told))
-    # Where too few photographs show a place, neighbours tell.
+    # A neutral cost where too few photographs show a place, so that the neighbours decide.
     disagreement = np.where(told, np.minimum(disagreement, MOST), np.median(disagreement[told]))
     level, smooth = _smooth_levels(disagreement, cKDTree(directions).query(directions, k=ALIKE + 1)[1][:, 1:])
     distance = 1 / np.interp(smooth, np.arange(LEVELS), inverse)
-    # The colour is of the level nearest by at which photographs show the place.
+    # The colour comes from the nearest level that enough photographs show.
     shown = np.where(told, np.abs(np.arange(LEVELS) - level[:, None]), LEVELS).argmin(axis=1)
     color = (255 * colors[np.arange(len(shown)), shown]).round().clip(0, 255).astype(np.uint8)
     return PointCloud(directions * distance[:, None], color)
@@ -52,7 +54,10 @@ def background_points(views: Sequence[View], found: np.ndarray) -> PointCloud:
 
 @dataclass(frozen=True)
 class _ReducedView:
-    """A reduced photograph: its camera, image [h,w,3] sRGB 0..1, and where [h,w] bool it may show the background."""
+    """A reduced photograph.
+
+    camera: of the reduced size. image [h,w,3] sRGB 0..1. open [h,w] bool: the pixels that may show the background.
+    """
 
     camera: Camera
     image: np.ndarray
@@ -60,6 +65,7 @@ class _ReducedView:
 
 
 def _reduced_view(view: View, found: np.ndarray) -> _ReducedView:
+    """Reduce a photograph, and mark as open the valid pixels that show none of the found points [P,3]."""
     small = reduced_view(view, min(1.0, SIDE / max(view.camera.width, view.camera.height)))
     free = np.ones(small.image.shape[:2], bool) if small.valid_mask is None else small.valid_mask.copy()
     _, pixels, _ = small.camera.project_inside(found)
@@ -77,7 +83,10 @@ def _directions(count: int) -> np.ndarray:
 
 
 def _agreement(reduced: Sequence[_ReducedView], places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the deviation [D] of the photographs' colours at places [D,3], their mean [D,3], and their number [D]."""
+    """Compare the photographs' colours at points [D,3] of the scene.
+
+    Returns the colours' standard deviation [D] and mean [D,3], sRGB 0..1, and the number [D] of photographs.
+    """
     count, total, squares = np.zeros(len(places)), np.zeros((len(places), 3)), np.zeros((len(places), 3))
     for view in reduced:
         index, pixels, _ = view.camera.project_inside(places)
@@ -94,9 +103,10 @@ def _agreement(reduced: Sequence[_ReducedView], places: np.ndarray) -> tuple[np.
 
 
 def _smooth_levels(disagreement: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Choose the distance level [D] of each direction: of low disagreement [D,L], and like its neighbours' [D,k].
+    """Choose a distance level for each of D directions, with low disagreement and close to its neighbours' levels.
 
-    Also returns the mean [D] of the level and its neighbours', for positions between the levels.
+    disagreement [D,L]: sRGB 0..1, for each of L levels. neighbours [D,k]: the indices of neighbouring directions.
+    Returns the levels [D], and smooth levels [D] that average each with its neighbours' mean.
     """
     cost = (disagreement + disagreement[neighbours].mean(axis=1)) / (2 * NOISE)
     levels = np.arange(cost.shape[1])

@@ -1,7 +1,7 @@
-"""Depth where stereo finds none: an image without contrast continues the depth around it.
+"""Filling of gaps in depth maps: image regions without contrast continue the depth around them.
 
-A pixel without depth takes the inverse depth that bends least, as a plane's inverse depth does not bend at all in a
-photograph. Where the image has an edge it may bend and break at no cost.
+The filled inverse depths minimise their second differences, which are 0 on a plane. At the image's edges, second
+differences cost almost nothing, so the depth may bend or jump there.
 """
 
 from __future__ import annotations
@@ -10,17 +10,18 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-EDGE = 0.03  # change of sRGB from a pixel to the next, 0..1, that counts as an edge
-EDGE_SMOOTHNESS = 1e-6  # what an edge's bending costs, against 1 elsewhere
-DATA_WEIGHT = 10.0  # of the found depths against the bending
-CONFIDENCE_LOSS = 2e-3  # confidence that is lost on the way from pixel to pixel: e-fold in some twenty of them
-MIN_CONFIDENCE = 0.8  # least share of its confidence that a pixel must have from found depths
+EDGE = 0.03  # sRGB 0..1; difference of neighbouring pixels that counts as an edge
+EDGE_SMOOTHNESS = 1e-6  # cost of bending across an edge, relative to 1 elsewhere
+DATA_WEIGHT = 10.0  # of the found depths, relative to the bending
+CONFIDENCE_LOSS = 2e-3  # leak of the diffused confidence at each pixel: it falls to 1/e over about twenty pixels
+MIN_CONFIDENCE = 0.8  # least confidence of a filled depth
 
 
 def fill_depth(inverse: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Fill the gaps, where it is 0, of a view's inverse depth map [h,w], and return inverse depths [h,w].
+    """Fill the gaps in a view's inverse depth map, and return the filled inverse depths [h,w].
 
-    image [h,w,3]: the view's, sRGB 0..255. NaN is returned where no found depth is near enough, or only beyond an edge.
+    inverse [h,w]: 1 / camera z, 0 in the gaps. image [h,w,3]: the view's, sRGB 0..255. The result is NaN where all
+    found depths are too far away or beyond an edge.
     """
     found = inverse > 0
     if found.sum() < 3:
@@ -35,10 +36,10 @@ def fill_depth(inverse: np.ndarray, image: np.ndarray) -> np.ndarray:
 
 
 def _smoothness(image: np.ndarray, axis: int) -> np.ndarray:
-    """Return how smooth the image is between each pixel and the next along an axis.
+    """Return the smoothness of an image [h,w,3] between each pixel and the next along an axis.
 
-    It is 1 where nothing changes, and EDGE_SMOOTHNESS across an edge. The result has the image's size, less one along
-    that axis.
+    image: sRGB 0..1. axis: 0 or 1. The result is [h-1,w] or [h,w-1]: 1 between equal colours, and EDGE_SMOOTHNESS
+    across an edge.
     """
     change = np.abs(np.diff(image, axis=axis)).max(axis=2)
     links: np.ndarray = np.maximum(np.exp(-((change / EDGE) ** 2)), EDGE_SMOOTHNESS)
@@ -46,7 +47,11 @@ def _smoothness(image: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _bending(smooth: np.ndarray, axis: int) -> sparse.csc_matrix:
-    """Return the quadratic form of the second differences along an axis, each weighed by its rougher step."""
+    """Return the quadratic form [h*w,h*w] of the second differences along an axis.
+
+    smooth [h-1,w] or [h,w-1]: the smoothness of the image's steps. A second difference takes the lower weight of its
+    two steps.
+    """
     steps = np.moveaxis(smooth, axis, -1)
     weights = np.minimum(steps[..., :-1], steps[..., 1:])
     index = np.moveaxis(_pixels(smooth, axis), axis, -1)
@@ -55,7 +60,10 @@ def _bending(smooth: np.ndarray, axis: int) -> sparse.csc_matrix:
 
 
 def _confidence(found: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> np.ndarray:
-    """Return the confidence [h,w] in filled depths: 1 where depth was found, fading with distance and at edges."""
+    """Return the confidence [h,w] of filled depths: about 1 at found depths, falling with distance and across edges.
+
+    found [h,w] bool: where depth was found. along_x [h,w-1], along_y [h-1,w]: the image's smoothness.
+    """
     form = CONFIDENCE_LOSS * sparse.eye(found.size) + sparse.diags(DATA_WEIGHT * found.ravel().astype(float))
     for smooth, axis in ((along_x, 1), (along_y, 0)):
         index = np.moveaxis(_pixels(smooth, axis), axis, -1)
@@ -66,13 +74,19 @@ def _confidence(found: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> 
 
 
 def _pixels(smooth: np.ndarray, axis: int) -> np.ndarray:
-    """Return the indices [h,w] of an image's pixels, given an array of what lies between them along an axis."""
+    """Return the indices [h,w] of an image's pixels.
+
+    smooth [h-1,w] or [h,w-1]: the smoothness between the pixels along the axis, which gives the image's size.
+    """
     shape = [side + (number == axis) for number, side in enumerate(smooth.shape)]
     return np.arange(int(np.prod(shape))).reshape(shape)
 
 
 def _gram(parts: list[tuple[np.ndarray, float]], weights: np.ndarray, count: int) -> sparse.csc_matrix:
-    """Return A' W A for rows that add pixels times factors, each row times its weight."""
+    """Return the quadratic form A' W A [count,count] of weighted differences between pixels.
+
+    parts: pixel indices [...] and a factor for each term of a row of A. weights [...]: the diagonal of W.
+    """
     rows = np.arange(weights.size)
     entries = [(np.full(weights.size, factor), (rows, index.ravel())) for index, factor in parts]
     matrix = sum(sparse.csc_matrix(entry, shape=(weights.size, count)) for entry in entries)

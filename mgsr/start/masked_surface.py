@@ -1,9 +1,9 @@
-"""The initial surface where masks tell the object: the visual hull, corrected by the photographs.
+"""The initial surface of a masked object: the visual hull, corrected by the photographs.
 
-PatchMatch stereo finds the concavities that no silhouette shows; in photographs of half the size it finds, more
-coarsely, what is too faint for it in whole ones. On a mirror it finds what is mirrored instead, behind the surface; so
-the hull stays where it explains the photographs better, as a whole or at a place. Then the surface is bent to what
-shading tells, and moved by what parallax tells.
+PatchMatch stereo finds concavities that no silhouette shows. It also runs on photographs of half the size, where it
+matches weaker texture at a coarser resolution. On a mirroring surface, stereo finds the reflections, which lie behind
+the surface. So the hull stays where it explains the photographs better, as a whole or in places. Shape from shading and
+photometric refinement then improve the surface.
 """
 
 from __future__ import annotations
@@ -30,12 +30,11 @@ from mgsr.stereo.fusion import fuse, fuse_roughly
 from mgsr.stereo.patch_match import DepthMap, match_views, weigh, weigh_gaps
 from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
 
-# The residual under an environment map on the hull, as a share of that on the surface that stereo finds, under which
-# the surface is a mirror.
+# The surface is a mirror if the hull's residual under an environment map is at most this share of stereo's residual.
 CLEARLY = 0.9
-# A hull's large shape is wrong too, so shading may change more of it than of a trained surface. Deep concavities
-# need many rounds. An environment map says little about a hull's steps, which are smoothed away in between, and more
-# about the small shape once photometric refinement has corrected the large one.
+# The large shape of a hull is wrong too, so shading may change larger shape than on a trained surface. Deep concavities
+# need many rounds. An environment map hardly constrains a hull's steps, which fairing removes between the rounds. It
+# constrains the small shape better once photometric refinement has corrected the large shape.
 FAR_PASSES = {
     LightKind.FLASH: (ShadingPass(edge=2.0, rounds=6, reach=160.0), ShadingPass(edge=1.5, rounds=3, reach=60.0)),
     LightKind.ENVIRONMENT: (
@@ -46,16 +45,16 @@ FAR_PASSES = {
 }
 NEAR_PASSES = {LightKind.ENVIRONMENT: (ShadingPass(edge=1.5, rounds=2, reach=60.0, fairing=17.0),)}
 
-# Octaves of deviation by which the residual of stereo's surface may exceed the hull's before it no longer counts.
+# Octaves by which the residual of stereo's surface may exceed the hull's before its depths lose all weight.
 DISBELIEVED = 0.3
 
-# Share of the sides to which photographs are reduced for the coarser stereo.
+# Scale of the photographs' sides for the coarser stereo.
 HALF = 0.5
 
 # Pixels over which a displacement of the photometric refinement spreads.
 PHOTOMETRIC_REACH = 12.0
 
-# Shares of the time at which the parts are done, measured on 48 views of 256 x 256 pixels.
+# Progress at the end of each part, measured as shares of the time on 48 views of 256 x 256 pixels.
 HALVES_MATCHED, MATCHED, FUSED, FAR_SHADED, NEAR_BEGUN, NEAR_SHADED = 0.1, 0.4, 0.6, 0.83, 0.87, 0.92
 
 
@@ -63,8 +62,8 @@ HALVES_MATCHED, MATCHED, FUSED, FAR_SHADED, NEAR_BEGUN, NEAR_SHADED = 0.1, 0.4, 
 class MaskedSurface:
     """The initial surface of a masked object.
 
-    mesh: in the scene's frame, its faces outward; light: the light of the photographs, as far as they tell; lighting: a
-    flash's light on the surface, None without one.
+    mesh: in the scene's frame, its faces outward. light: the kind of light, as estimated from the photographs.
+    lighting: a flash's light on the surface, None without a flash.
     """
 
     mesh: Mesh
@@ -81,7 +80,7 @@ def find_surface(
 ) -> MaskedSurface:
     """Find the surface of the masked object inside its visual hull. The same seed gives the same surface.
 
-    progress: told of the share of the work that is done, 0..1. Raises SceneError if the hull is empty.
+    progress: receives the share of the work that is done, 0..1. Raises SceneError if the hull is empty.
     """
     photos = PhotoSet(views, silhouettes)
     mesh = _likelier_surface(photos, hull, seed, progress)
@@ -95,11 +94,11 @@ def find_surface(
 
 
 def _likelier_surface(photos: PhotoSet, hull: Hull, seed: int, progress: Callable[[float], None]) -> Mesh:
-    """Return the hull's surface where it explains the photographs clearly better than stereo's; else stereo's.
+    """Return the hull's surface if the photographs speak clearly for it, else the surface that stereo finds.
 
-    The hull wins where a mirrored environment map explains the photographs on it. For stereo's surface, pixels count
-    the less the better the hull explains them. What a surface mirrors moves across it as a pattern behind it would, and
-    stereo cannot tell the two apart.
+    The hull wins if a mirrored environment map explains the photographs on it. Otherwise stereo's depths are fused, and
+    a pixel weighs less where the hull explains it better. Reflections move across a surface like a pattern behind it,
+    and stereo cannot distinguish the two.
     """
     outer = Mesh(*hull_surface(hull))
     seen = _matched(stereo_photographs(photos.views), outer.caster, seed, progress)
@@ -119,7 +118,8 @@ def _likelier_surface(photos: PhotoSet, hull: Hull, seed: int, progress: Callabl
 class _Matched:
     """Depth maps of photographs at two sizes.
 
-    cameras: of the maps; maps; weights: of their pixels; pixel: the size of the finer pixels on the object.
+    cameras, maps: a camera for each depth map. weights [h,w]: of each map's pixels. pixel: the size of the finer maps'
+    pixels on the object, in the scene's unit.
     """
 
     cameras: Sequence[Camera]
@@ -131,6 +131,10 @@ class _Matched:
 def _matched(
     photographs: StereoPhotographs, start: RayCaster, seed: int, progress: Callable[[float], None]
 ) -> _Matched:
+    """Match the photographs at full and at half size; the coarser maps fill the finer ones' gaps.
+
+    start: the surface on which the search begins.
+    """
     halves = photographs.reduced(HALF)
     coarse = match_views(halves, start, seed, progress=_between(progress, 0, HALVES_MATCHED))
     fine = match_views(photographs, start, seed, progress=_between(progress, HALVES_MATCHED, MATCHED))
@@ -141,10 +145,10 @@ def _matched(
 
 
 def _believed(camera: Camera, outer: EnvironmentResidual, inner: EnvironmentResidual) -> np.ndarray:
-    """Return how much each pixel of stereo counts, [H,W] 0..1.
+    """Return the confidence [H,W] 0..1 in each pixel of stereo's surface.
 
-    It counts less the more the inner surface leaves unexplained there, in octaves of the deviation over what the outer
-    one leaves; where either tells nothing, 1.
+    It falls as the residual of stereo's surface, `inner`, exceeds that of the hull, `outer`. It is 1 where either
+    residual is unknown.
     """
     residual, before = inner.seen_by(camera), outer.seen_by(camera)
     known = (residual > 0) & (before > 0)
@@ -159,12 +163,12 @@ def _refined(
     passes: Mapping[LightKind, Sequence[ShadingPass]],
     progress: Callable[[float], None],
 ) -> tuple[Mesh, LightEstimate]:
-    """Estimate the light anew on the mesh as it is, and refine the mesh by shading and photometrically."""
+    """Estimate the light on the mesh, then refine the mesh by shape from shading and photometrically."""
     estimate = estimate_light(mesh, photos, MAX_ENVIRONMENT_RATIO, known)
     mesh = shape_from_shading(mesh, photos, estimate, passes, progress)
     return refine_photometrically(mesh, photos, PHOTOMETRIC_REACH, estimate.model), estimate
 
 
 def _between(progress: Callable[[float], None], begin: float, end: float) -> Callable[[float], None]:
-    """Return a progress callback for a part of the work that goes from `begin` to `end` of the whole."""
+    """Return a progress callback for the part of the work from `begin` to `end`, both 0..1."""
     return lambda done: progress(begin + (end - begin) * done)

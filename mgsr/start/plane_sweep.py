@@ -1,9 +1,9 @@
-"""Plane-sweep stereo (Collins 1996): points on a surface that no mask shows.
+"""Plane-sweep stereo (Collins 1996): starting points for scenes without masks.
 
-A photograph's neighbours are held against it on one plane after the other in front of it; a pixel's depth is where they
-agree best, by the correlation of a small window. Depths that other photographs don't confirm are dropped. What has no
-contrast continues what lies around it, where that too is confirmed. The unit ball is searched finely, and what lies
-behind it coarsely, so that a background has its place and is not taken for something in the ball.
+A photograph's neighbours are warped onto a series of planes in front of it. A pixel takes the depth at which the
+normalised cross-correlation (NCC) of a small window is best. Depths that other photographs do not confirm are dropped.
+Regions without contrast continue the depth around them, if other photographs confirm that too. The planes are dense in
+the unit ball and sparse behind it, so that background is not mistaken for a surface in the ball.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ from mgsr.parallel import map_ahead, one_torch_thread
 from mgsr.start.depth_filling import fill_depth
 from mgsr.stereo.photographs import neighbours
 
-SIDE = 128  # images are reduced to this side: a start needs no more
-PLANES, BEHIND = 64, 32  # through the ball and from there to infinity, evenly in inverse depth, as disparity is
-REACH = 1.1  # of the ball's planes around the origin
-FARTHEST_POINT = 40.0  # from the origin; farther points are too uncertain to be of use
-NEIGHBOURS, APART, FARTHEST = 4, 15.0, 45.0  # views compared; degrees that they are best apart, and at most
-WINDOW = 5  # pixels a side
-NOISE = 0.01  # standard deviation; windows of less contrast correlate with nothing
-SIMILAR, OWN_CONTRAST = 0.06, 0.012  # of colours, sRGB 0..1, and the least standard deviation among similar ones
-AGREEMENT = 0.6  # least correlation of a depth that counts
-LEAD, BESIDE = 0.03, 4  # by which it must beat all planes further from it than this many
-CONFIRMED, TOLERANCE = 2, 0.02  # other views that must have the same depth, to this share
-CONFIRMED_FILLED = 3  # as CONFIRMED, of filled depths, which depend on each other
-SPACING = 0.02  # points closer than this are one, outside the ball in the space that `_drawn_in` gives
-SPACING_FILLED = 0.06  # the same for filled depths; flat and without contrast, they need few splats
-SWEPT = 0.65  # the share of the time at which the planes are swept: measured, 62 views
-CROWD, LONELY = 20, 1.5  # a point is noise whose CROWD neighbours are LONELY deviations farther than is usual
+SIDE = 128  # pixels; longer side of the reduced images, enough for starting points
+PLANES, BEHIND = 64, 32  # planes through the ball, and from there to infinity, spaced evenly in inverse depth
+REACH = 1.1  # ball radii; extent of the ball's planes on both sides of the origin
+FARTHEST_POINT = 40.0  # ball radii from the origin; farther points are too uncertain
+NEIGHBOURS, APART, FARTHEST = 4, 15.0, 45.0  # views to compare; their best and their largest angle, in degrees
+WINDOW = 5  # pixels along a side
+NOISE = 0.01  # standard deviation of image noise, grey 0..1; lowers the correlation of windows with less contrast
+SIMILAR, OWN_CONTRAST = 0.06, 0.012  # sRGB 0..1; width of similar colours, and the least contrast among them
+AGREEMENT = 0.6  # least correlation of an accepted depth
+LEAD, BESIDE = 0.03, 4  # least lead in correlation over all planes farther away than BESIDE planes
+CONFIRMED, TOLERANCE = 2, 0.02  # least number of other views with the same depth, to this relative difference
+CONFIRMED_FILLED = 3  # the same number for filled depths, which depend on each other
+SPACING = 0.02  # ball radii; cell size for thinning points, in the contracted space of `_drawn_in`
+SPACING_FILLED = 0.06  # the same for filled depths; flat regions without contrast need few splats
+SWEPT = 0.65  # progress at which the planes are swept, measured as a share of the time with 62 views
+CROWD, LONELY = 20, 1.5  # neighbours, and deviations of their mean distance above which a point is an outlier
 
 
 def sweep_planes(views: Sequence[View], progress: Callable[[float], None] = lambda done: None) -> PointCloud:
-    """Find points of the surfaces in the unit ball and behind it, as far as the views have contrast; maybe none.
+    """Find coloured points of the surfaces in and behind the unit ball, in the scene's frame; maybe none.
 
-    progress: told of the share of the work that is done, 0..1.
+    progress: receives the share of the work that is done, 0..1.
     """
     looks = [_swept_view(view) for view in views]
     maps = []
@@ -66,10 +66,10 @@ def sweep_planes(views: Sequence[View], progress: Callable[[float], None] = lamb
 
 @dataclass(frozen=True)
 class _SweptView:
-    """A view as it is compared.
+    """A view reduced for the sweep.
 
-    camera: reduced; image [h,w,3] sRGB 0..255; grey [1,h,w] 0..1; valid_mask [h,w] float32: 1 where the photograph
-    shows a pixel, None where it shows all.
+    camera: of the reduced size. image [h,w,3] sRGB 0..255. grey [1,h,w] 0..1. valid_mask [h,w] float32: 1 at valid
+    pixels, else 0; None if all are valid.
     """
 
     camera: Camera
@@ -91,7 +91,7 @@ def _swept_view(view: View) -> _SweptView:
 
 
 def _depth_map(looks: Sequence[_SweptView], index: int) -> np.ndarray:
-    """Return the depth map of one view, camera z [h,w], infinite where the neighbours do not agree."""
+    """Return the depth map [h,w] of one view, camera z; infinite where the neighbours do not agree."""
     look = looks[index]
     beside = neighbours([each.camera for each in looks], index, NEIGHBOURS, APART, FARTHEST)
     nearest, farthest = (look.camera.cam_from_world[2, 3] + shift for shift in (-REACH, REACH))
@@ -102,7 +102,7 @@ def _depth_map(looks: Sequence[_SweptView], index: int) -> np.ndarray:
     behind = torch.linspace(0, 1 / farthest, BEHIND + 1)[:-1]
     inverse = torch.cat([behind, torch.linspace(1 / farthest, 1 / nearest, PLANES)])
     scores = torch.stack([_correlations(look, looks[other], inverse) for other in beside])
-    # The better half: a neighbour that does not see the place says nothing of it.
+    # The better half of the neighbours only, as the others may not see the place.
     agreement = scores.topk(max(2, len(beside) // 2), dim=0).values.mean(dim=0)
     plane, clear = _best_plane(agreement)
     depth = 1 / np.interp(plane.numpy(), np.arange(len(inverse)), inverse.numpy()).clip(1e-6)
@@ -110,7 +110,7 @@ def _depth_map(looks: Sequence[_SweptView], index: int) -> np.ndarray:
 
 
 def _correlations(look: _SweptView, other: _SweptView, inverse: Tensor) -> Tensor:
-    """Return how well `other` correlates with `look`, [D,h,w], on planes at inverse depths [D]; -1 where unseen."""
+    """Return the NCC [D,h,w] of `other` with `look`, warped by planes at inverse depths [D]; -1 where unseen."""
     camera, neighbour = look.camera, other.camera
     y, x = np.mgrid[: camera.height, : camera.width] + 0.5
     rays = np.stack([(x - camera.K[0, 2]) / camera.K[0, 0], (y - camera.K[1, 2]) / camera.K[1, 1], np.ones_like(x)], -1)
@@ -139,7 +139,7 @@ def _correlations(look: _SweptView, other: _SweptView, inverse: Tensor) -> Tenso
 
 
 def _window_mean(images: Tensor) -> Tensor:
-    """Return the mean [N,h,w] over the WINDOW around each pixel."""
+    """Return the mean [N,h,w] of images [N,h,w] over the WINDOW around each pixel."""
     half = WINDOW // 2
     padded = functional.pad(images[None], (half,) * 4, mode="replicate")[0]
     height, width = images.shape[1:]
@@ -151,16 +151,17 @@ def _window_mean(images: Tensor) -> Tensor:
 
 
 def _own_contrast(image: np.ndarray) -> np.ndarray:
-    """Return the contrast [h,w] of an image [h,w,3] around each pixel, among pixels of a similar colour alone.
+    """Return the contrast [h,w] around each pixel of an image [h,w,3], among pixels of a similar colour.
 
-    It is the standard deviation, 0..1, in the most varied channel. Beside the edge of something near, all the contrast
-    in a window of plain background is that edge's, and so would be the depth.
+    image: sRGB 0..255. The contrast is the standard deviation, 0..1, in the channel with the largest. In a window of
+    plain background beside a near object's edge, all contrast belongs to the edge, and the depth would too. Similar
+    colours exclude that edge.
     """
     image = image / 255
     height, width = image.shape[:2]
     half = WINDOW // 2
     padded = np.pad(image, ((half, half), (half, half), (0, 0)), mode="edge")
-    sums = np.zeros((3, *image.shape))  # of weights, and of colours and their squares times these
+    sums = np.zeros((3, *image.shape))  # of the weights, the weighted colours, and the weighted squares
     for top in range(WINDOW):
         for left in range(WINDOW):
             other = padded[top : top + height, left : left + width]
@@ -172,7 +173,10 @@ def _own_contrast(image: np.ndarray) -> np.ndarray:
 
 
 def _best_plane(agreement: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the plane [h,w] of the best agreement [D,h,w], between planes by a parabola, and whether it stands out."""
+    """Return each pixel's plane of best agreement [D,h,w], as an index [h,w] with a fraction from a parabola.
+
+    Also returns where it is a clear maximum, [h,w] bool.
+    """
     best, at = agreement.max(dim=0)
     count = len(agreement)
     planes = torch.arange(count)[:, None, None]
@@ -185,7 +189,11 @@ def _best_plane(agreement: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _confirmed(index: int, looks: Sequence[_SweptView], maps: Sequence[np.ndarray], least: int) -> np.ndarray:
-    """Return a view's depth map without what fewer than `least` other views' maps confirm, or more see through."""
+    """Drop the depths of a view that too few other views confirm.
+
+    maps [h,w]: every view's depth map, camera z, infinite where unknown. A depth stays if at least `least` other maps
+    confirm it, and more confirm it than see through it. Returns the view's depth map [h,w], infinite elsewhere.
+    """
     depth = maps[index]
     positions = _positions(looks[index].camera, depth)
     confirming, against = np.zeros(len(positions), int), np.zeros(len(positions), int)
@@ -204,7 +212,10 @@ def _confirmed(index: int, looks: Sequence[_SweptView], maps: Sequence[np.ndarra
 
 
 def _filled(looks: Sequence[_SweptView], whole: Sequence[np.ndarray], found: np.ndarray) -> PointCloud:
-    """Return points of the filled depth maps that lie away from the points found [P,3] already."""
+    """Return points of the filled depth maps that lie apart from the points already found.
+
+    whole [h,w]: each view's filled depth map, camera z. found [P,3]: points in the scene's frame.
+    """
     cloud = _cloud(looks, [_confirmed(index, looks, whole, CONFIRMED_FILLED) for index in range(len(looks))])
     cloud = cloud.rows(_thinned(cloud.positions, SPACING_FILLED))
     if not len(found):
@@ -213,21 +224,21 @@ def _filled(looks: Sequence[_SweptView], whole: Sequence[np.ndarray], found: np.
 
 
 def _continued(look: _SweptView, depth: np.ndarray) -> np.ndarray:
-    """Return the depth map with what `fill_depth` adds; infinite where there is still none."""
+    """Fill the gaps in a depth map [h,w], camera z, by `fill_depth`; it stays infinite where depth is unknown."""
     inverse = fill_depth(1 / depth, look.image)
     there = np.isfinite(inverse) if look.valid_mask is None else np.isfinite(inverse) & (look.valid_mask.numpy() > 0)
     return np.where(there, 1 / inverse, np.inf)
 
 
 def _cloud(looks: Sequence[_SweptView], maps: Sequence[np.ndarray]) -> PointCloud:
-    """Return the points of all views' depth maps, view by view, with their pixels' colours."""
+    """Return the points of all views' depth maps [h,w], view by view, with their pixels' colours."""
     positions = [_positions(look.camera, depth) for look, depth in zip(looks, maps, strict=True)]
     colors = [look.image[np.isfinite(depth)] for look, depth in zip(looks, maps, strict=True)]
     return PointCloud(np.concatenate(positions), np.concatenate(colors).round().clip(0, 255).astype(np.uint8))
 
 
 def _positions(camera: Camera, depth: np.ndarray) -> np.ndarray:
-    """Return the world points [P,3] of the finite pixels of a depth map [h,w], row by row."""
+    """Back-project the finite pixels of a depth map [h,w], row by row, to points [P,3] in the world frame."""
     rows, columns = np.nonzero(np.isfinite(depth))
     pixels = np.stack([columns, rows], axis=1) + 0.5
     local = np.concatenate([(pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(rows), 1))], axis=1)
@@ -237,7 +248,7 @@ def _positions(camera: Camera, depth: np.ndarray) -> np.ndarray:
 
 
 def _thinned(positions: np.ndarray, spacing: float = SPACING) -> np.ndarray:
-    """Return the indices of the points to keep: one a cell of `spacing`, without those that stand alone."""
+    """Thin points [P,3] to one for each cell of size `spacing`, without outliers; return the indices [Q] to keep."""
     near = _drawn_in(positions)
     _, first = np.unique(np.floor(near / spacing).astype(int), axis=0, return_index=True)
     first.sort()
@@ -249,9 +260,9 @@ def _thinned(positions: np.ndarray, spacing: float = SPACING) -> np.ndarray:
 
 
 def _drawn_in(positions: np.ndarray) -> np.ndarray:
-    """Contract the points [P,3] outside the unit ball into a ball of radius 2, with infinity on its surface.
+    """Contract points [P,3] outside the unit ball into a ball of radius 2, with infinity on its surface.
 
-    Photographs taken around the ball see less of a place the farther it is.
+    Photographs taken around the ball resolve distant places less finely.
     """
     radius = np.maximum(np.linalg.norm(positions, axis=1, keepdims=True), 1)
     drawn: np.ndarray = positions * (2 - 1 / radius) / radius

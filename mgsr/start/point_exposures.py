@@ -1,8 +1,8 @@
-"""Exposures of photographs, told by points of the surface that several of them show.
+"""Exposures of photographs, estimated from surface points that several of them show.
 
-The logarithm of a point's light in a photograph is the photograph's exposure plus the point's own light. Both are
-fitted to all that photographs show of the points, by least squares that are weighted anew at each round (Cauchy's
-weights), so that points which shine in some directions, or are hidden in truth, count little.
+The model of an observation is log light = log exposure of the photograph + log radiance of the point. Both are fitted
+to all observations by iteratively reweighted least squares with Cauchy weights. So observations of highlights or of
+hidden points count little.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from mgsr.data.images import srgb_to_linear
 from mgsr.data.scene import View
 from mgsr.start.view_colors import seen_pixels
 
-POINTS = 16000  # at most: they also hide each other, and fewer leave gaps
-BEHIND = 0.05  # units behind others from which a point is hidden
-CELLS = 0.5  # of the depth map that tells so along its side, times the root of the number of points
-DARK, CLIPPED = 8, 250  # of 255; pixels outside tell nothing
-FITTED = 4_000_000  # values that are fitted to at most, so that memory stays small where photographs are many
-SHARED, ENOUGH = 3, 50  # photographs that must show a point, and such points that a photograph must show
-ROUNDS = 15  # of new weights
-PRIOR = 1e-3  # share of what photographs show that says that they have the common exposure
-WIDTH = 0.5  # deviations of the residual at which a point counts half
+POINTS = 16000  # most points to use; they also occlude each other, and fewer leave gaps
+BEHIND = 0.05  # scene units behind others beyond which a point is hidden
+CELLS = 0.5  # side of the occlusion depth map, times the square root of the number of points
+DARK, CLIPPED = 8, 250  # of 255; darker or brighter pixels are not used
+FITTED = 4_000_000  # most observations in the fit, to bound its memory
+SHARED, ENOUGH = 3, 50  # least photographs that show a point, and least such points in a photograph
+ROUNDS = 15  # of reweighting
+PRIOR = 1e-3  # weight of the common exposure, as a share of a photograph's observations
+WIDTH = 0.5  # deviations of the residual at which an observation counts half
 
 
 def point_exposures(
@@ -31,8 +31,9 @@ def point_exposures(
 ) -> np.ndarray | None:
     """Estimate the exposures [V,3] of the training views and then the test views, as factors of linear light.
 
-    Those of the training views have a geometric mean of 1. None is returned where the points [P,3] do not tell those of
-    some view. normals [P,3]: points turned away are not seen. The training views alone tell the points' own light.
+    positions [P,3]: surface points in the scene's frame. normals [P,3]: their unit normals, which exclude points that
+    face away from a view; None: unknown. The training views alone determine the points' radiance, and the geometric
+    mean of their exposures is 1. Returns None if any view shows too few of the points.
     """
     some = slice(None, None, max(1, -(-len(positions) // POINTS)))
     seen = _log_light([*train, *test], positions[some], None if normals is None else normals[some])
@@ -47,7 +48,10 @@ def point_exposures(
 
 
 def _log_light(views: Sequence[View], positions: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
-    """Return the logarithm of linear light [V,P,3] that views show of points; NaN where they show nothing of use."""
+    """Return the log of the linear light [V,P,3] that the views show of points [P,3]; NaN where unusable.
+
+    normals [P,3]: unit, or None.
+    """
     light = np.full((len(views), len(positions), 3), np.nan, np.float32)
     table = np.log(srgb_to_linear(np.arange(1, 256) / 255))
     side = int(np.sqrt(len(positions)) * CELLS) + 1
@@ -62,7 +66,7 @@ def _log_light(views: Sequence[View], positions: np.ndarray, normals: np.ndarray
 def _fit(seen: np.ndarray, train: int) -> np.ndarray:
     """Fit the log exposures [V] to one channel's log light [V,P]; NaN where a view does not show a point.
 
-    The first `train` views alone tell the points' own light.
+    The first `train` views alone determine the points' radiance.
     """
     there = np.isfinite(seen)
     seen = np.where(there, seen, 0.0).astype(np.float64)
@@ -71,7 +75,7 @@ def _fit(seen: np.ndarray, train: int) -> np.ndarray:
     for _ in range(ROUNDS):
         of_points = weight[:train]
         total = np.maximum(of_points.sum(axis=0), 1e-12)
-        # The points' own light is eliminated from the normal equations.
+        # The points' radiance is eliminated from the normal equations.
         normal = np.diag(of_points.sum(axis=1)) - (of_points / total) @ of_points.T
         mean = (of_points * seen[:train]).sum(axis=0) / total
         right = (of_points * (seen[:train] - mean)).sum(axis=1)

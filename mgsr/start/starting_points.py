@@ -23,31 +23,30 @@ from mgsr.start.view_colors import seen_colors
 
 RESOLUTION = 128
 
-# Masks are reduced to this side: a grid of RESOLUTION voxels then has about two pixels a voxel.
+# Longer side of the reduced masks, in pixels: about two pixels for each voxel of a grid of RESOLUTION voxels.
 MASK_SIDE = 400
 
-# With fewer points than this, a masked scene does better with its hull, and another with the whole ball.
+# If stereo finds fewer points than this, the start is a random ball.
 MIN_POINTS = 500
 
-# The share of an unmasked capture's points that lie outside a ball of radius BALL, where no mesh is made, if there are
-# so many.
+# Largest share of an unmasked capture's points outside a ball of radius BALL, where no mesh is extracted.
 BACKGROUND, BALL = 0.25, 1.25
 
-# The share of all points that are background points, if there are so many.
+# Largest share of all points that are background points.
 BACKGROUND_POINTS = 0.25
 
-# A point in the ball is wrong if its three neighbours are this many times farther than is usual there.
+# A point in the ball is wrong if its three neighbours are this many times farther away than the median there.
 MAX_SPACING = 8.0
 
-# Points outside the unit ball by more than this are behind the cameras or wrong.
+# Points with a larger coordinate than this, in ball radii, are wrong.
 MAX_DISTANCE = 50.0
 
 
 class StartSource(StrEnum):
     """The source of the starting points.
 
-    capture: the capture's own points; hull: the visual hull of the masks; stereo: where photographs agree; ball:
-    nothing was known.
+    capture: the capture's own points. hull: the visual hull of the masks, or the surface found inside it. stereo:
+    plane-sweep stereo. ball: a random ball.
     """
 
     CAPTURE = "capture"
@@ -60,9 +59,9 @@ class StartSource(StrEnum):
 class StartingPoints:
     """The points on which training begins.
 
-    positions [P,3] float64 in the scene's frame, colors [P,3] uint8 sRGB, and outward unit normals [P,3] where the
-    surface is known, else None; shiny: whether a flash, or a mirrored environment map, explains how brightness changes
-    from view to view, None where that was not looked at; lighting: a flash's light on the surface, None without one;
+    positions [P,3]: float64, in the scene's frame. colors [P,3]: uint8 sRGB. normals [P,3]: outward unit normals, None
+    if the surface is unknown. shiny: whether a flash or a mirrored environment map explains how brightness changes
+    between views; None if that was not examined. lighting: a flash's light on the surface, None without a flash.
     surface: the mesh that the points lie on, None without masks.
     """
 
@@ -84,15 +83,15 @@ def starting_points(
 ) -> StartingPoints:
     """Choose the points to start from; the same seed gives the same points.
 
-    progress: told of the share of the work that is done, 0..1; background: the setting, which says whether a plain
-    backdrop is looked for.
+    progress: receives the share of the work that is done, 0..1. background: the setting for the search for a plain
+    backdrop.
 
-    With masks: `count` points, evenly on the surface that stereo, shading and photometric refinement find inside the
-    visual hull. It is nearer to the truth than the capture's own points (COLMAP).
+    With masks, `count` points lie evenly on the surface that stereo, shading and photometric refinement find inside the
+    visual hull. That surface is more accurate than the capture's own points (COLMAP).
 
-    Without masks: at most `count` of the capture's own points and those of stereo in and behind the unit ball. A
-    quarter lies behind the ball, none on a plain backdrop, and up to a quarter are background points where neither has
-    any. Where there are hardly any points, `count` points lie anywhere in the ball.
+    Without masks, at most `count` points come from the capture and from plane-sweep stereo. At most a quarter of them
+    lies outside the ball, and none on a plain backdrop. Up to a quarter are background points, in directions without
+    other points. If stereo alone finds too few points, `count` random points fill the unit ball.
     """
     generator = np.random.default_rng(seed)
     if scene.masked:
@@ -102,7 +101,7 @@ def starting_points(
 
 
 def ball_points(views: Sequence[View], count: int, seed: int) -> StartingPoints:
-    """Draw `count` points evenly in the unit ball, in the colours that the views show in their direction."""
+    """Draw `count` random points evenly in the unit ball, with the colours that the views show at them."""
     generator = np.random.default_rng(seed)
     directions = generator.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -111,7 +110,7 @@ def ball_points(views: Sequence[View], count: int, seed: int) -> StartingPoints:
 
 
 def hull_points(scene: Scene, count: int, seed: int, resolution: int) -> StartingPoints:
-    """Spread `count` points evenly over the visual hull of a scene with masks, as its silhouettes alone give it.
+    """Spread `count` points evenly over the surface of the visual hull of a scene with masks.
 
     resolution: voxels along a side of the grid. Raises SceneError if the hull is empty.
     """
@@ -154,7 +153,7 @@ def _unmasked_points(
 
 
 def _without_isolated(points: PointCloud) -> PointCloud:
-    """Return the points without those in the ball that stand alone, whose splats would hang there as huge disks."""
+    """Drop isolated points in the ball, as their splats would become huge floating disks."""
     inside = np.linalg.norm(points.positions, axis=1) <= BALL
     if not inside.any():
         return points
@@ -164,7 +163,7 @@ def _without_isolated(points: PointCloud) -> PointCloud:
 
 
 def _some(index: np.ndarray, most: int, generator: np.random.Generator) -> np.ndarray:
-    """Draw at most `most` of the indices."""
+    """Draw at most `most` of the indices [N], without replacement."""
     return generator.choice(index, most, replace=False) if len(index) > most else index
 
 
@@ -177,7 +176,7 @@ def _surface_points(
     progress: Callable[[float], None],
 ) -> StartingPoints:
     side = max(max(outline.distance.shape) for outline in outlines)
-    resolution = RESOLUTION if side >= RESOLUTION else RESOLUTION // 2  # small images know no more
+    resolution = RESOLUTION if side >= RESOLUTION else RESOLUTION // 2  # small images have no finer detail
     found = find_surface(views, outlines, carve(outlines, np.zeros(3), 1.05, resolution), seed, progress)
     positions, normals = _sample(found.mesh, count, generator)
     shiny = found.light is not LightKind.UNKNOWN
@@ -190,18 +189,18 @@ def _surface_points(
 
 
 def _seen_on_hull(views: Sequence[View], positions: np.ndarray, normals: np.ndarray, resolution: int) -> StartingPoints:
-    # Voxels below this size can't hide each other: the hull is only known to a voxel.
+    # The hull is only accurate to a voxel, so points within a few voxels do not occlude each other.
     colors = seen_colors(views, positions, normals, tolerance=4 * 1.05 / resolution)
     return StartingPoints(positions, colors, StartSource.HULL, normals)
 
 
 def _sample(mesh: Mesh, count: int, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Spread `count` points [count,3] evenly over a mesh, and return them with their faces' unit normals [count,3]."""
+    """Draw `count` points evenly on a mesh: positions [count,3], and their faces' unit normals [count,3]."""
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
     across = mesh.face_crosses
     area = np.linalg.norm(across, axis=1)
     sums = np.cumsum(area)
-    # Stratified: one point in each of `count` equal parts of the area, so that none stays empty by chance.
+    # Stratified sampling: one point in each of `count` equal parts of the area leaves no part empty.
     place = (np.arange(count) + generator.random(count)) / count * sums[-1]
     chosen = np.minimum(np.searchsorted(sums, place), len(mesh.faces) - 1)
     u, v = generator.random((2, count))

@@ -11,10 +11,10 @@ from mgsr.data.camera import Camera
 from mgsr.data.scene import View
 from mgsr.data.valid_mask import valid_at
 
-# A surface seen under a flatter angle than this (cosine) shows a colour mixed with its neighbours'.
+# Least cosine between normal and view direction: at a grazing angle, a pixel mixes the colours of neighbours.
 MIN_COSINE = 0.2
 
-# Pixels a side of the depth maps that tell which points are hidden: coarse, so that points leave no gaps.
+# Pixels along a side of the depth maps for occlusion, coarse enough that the points leave no gaps.
 DEPTH_SIDE = 96
 
 _UNSEEN = 999
@@ -23,10 +23,11 @@ _UNSEEN = 999
 def seen_colors(
     views: Sequence[View], positions: np.ndarray, normals: np.ndarray | None = None, tolerance: float = 0.05
 ) -> np.ndarray:
-    """Return the colour [P,3] uint8 of each point: the median over the views that see it, without highlights.
+    """Return the colour [P,3] uint8 sRGB of each point: the median over the views that see it, without highlights.
 
-    With normals [P,3], the points are a surface: those turned away and those further than `tolerance` behind others are
-    not seen. A point that no view sees has its nearest seen neighbour's colour.
+    positions [P,3]: in the scene's frame. normals [P,3]: unit; if given, the points are a surface, and a view does not
+    see those that face away or lie more than `tolerance` behind others. A point that no view sees takes the colour of
+    its nearest seen neighbour.
     """
     samples = np.full((len(views), len(positions), 3), _UNSEEN, dtype=np.int16)
     for sample, view in zip(samples, views, strict=True):
@@ -41,7 +42,7 @@ def seen_colors(
 def _sample_view(
     sample: np.ndarray, view: View, positions: np.ndarray, normals: np.ndarray | None, tolerance: float
 ) -> None:
-    """Write the view's colours [P,3] into `sample` where it sees the points."""
+    """Write the view's colours into `sample` [P,3] for the points [P,3] that it sees."""
     index, rows, cols = seen_pixels(view, positions, normals, None if normals is None else tolerance)
     sample[index] = view.image[rows, cols]
 
@@ -51,9 +52,10 @@ def seen_pixels(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return which of the points [P,3] a view sees, as indices [S], and the rows and columns [S] of their pixels.
 
-    normals [P,3]: points turned away are not seen; None: none is. tolerance: nor are those further than this behind
-    others; None: points hide nothing. side: cells along the longer side of the depth map that tells so, few enough that
-    the points leave no gaps. Where a photograph is not known, or its mask is empty, it sees nothing.
+    positions [P,3]: in the scene's frame. normals [P,3]: unit; points that face away are not seen; None: all points
+    face the view. tolerance: the distance behind others beyond which a point is hidden; None: no point is hidden.
+    side: cells along the longer side of the occlusion depth map, few enough that the points leave no gaps. A view sees
+    nothing at invalid pixels and outside its mask.
     """
     camera = view.camera
     pixels, depth = camera.project(positions)
@@ -78,18 +80,23 @@ def seen_pixels(
 def _hidden(
     camera: Camera, pixels: np.ndarray, depth: np.ndarray, seen: np.ndarray, tolerance: float, side: int
 ) -> np.ndarray:
-    """Return which points [P] lie behind others, by the nearest depth in cells of a coarse depth map."""
+    """Return which points [P] bool lie behind others, by a depth map of the nearest point in each coarse cell.
+
+    pixels [P,2]: pixel coordinates. depth [P]: camera z. seen [P] bool: the points that may occlude others. tolerance:
+    in the scene's unit. side: cells along the depth map's side.
+    """
     cells = (pixels / max(camera.width, camera.height) * side).clip(0, side - 1).astype(np.intp)
     flat = cells[:, 1] * side + cells[:, 0]
     nearest = np.full(side**2, np.inf)
     np.minimum.at(nearest, flat[seen], depth[seen])
-    # Inside one cell a slanted surface has many depths.
+    # A slanted surface spans a range of depths in one cell.
     slope = 2 * depth * max(camera.width, camera.height) / side / camera.K[0, 0]
     hidden: np.ndarray = depth > nearest[flat] + tolerance + slope
     return hidden
 
 
 def _fill(colors: np.ndarray, positions: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return the colours [P,3] uint8; unknown points take their nearest known neighbour's. known [P] bool."""
     if not known.any():
         return np.full(colors.shape, 128, dtype=np.uint8)
     if not known.all():

@@ -1,15 +1,15 @@
 """Fusion of depth maps into one surface inside the visual hull.
 
-Each voxel of a grid holds a histogram of its signed distances to the surfaces that the depth maps see, up to a few
-pixels, as in Zach (2008). A depth map says that the space before its surface is empty, and, more faintly, that what
-lies just behind it is solid. The hull has a vote of its own, which fades inwards; nothing comes to lie outside it.
+Each voxel holds a histogram of its truncated signed distances to the surfaces in the depth maps, as in Zach (2008). A
+depth map votes that the space before its surface is empty and, with less weight, that the space behind it is solid. The
+hull votes too, with a weight that fades inwards. It also bounds the surface.
 
-The field of distances that is sought has the least sum of absolute differences to the votes and a small total
-variation. Where many votes agree, it is their median, which, unlike their mean, does not heed how far off a wrong depth
-is. Where votes are few or contradict each other, the surface takes the shortest way between what is known around.
+The fused distance field minimises the sum of absolute differences to the votes plus its total variation (TV-L1). Where
+many votes agree, it is their median, which is robust to wrong depths. Where votes are few or contradict each other, the
+total variation gives the smallest surface that joins the parts around.
 
-A sheet whose sides both are seen may be thinner than a voxel. So the surface is taken a voxel too far outside, where
-such a sheet has two sides, and its vertices are moved back afterwards, which leaves no hole.
+A sheet that is seen from both sides may be thinner than a voxel. So the surface is extracted one voxel outside its
+place, where the sheet has two sides, and its vertices are moved back afterwards. This leaves no hole.
 """
 
 from __future__ import annotations
@@ -28,33 +28,34 @@ from mgsr.geometry.triangles import drop_small_pieces
 from mgsr.native import _fusion
 from mgsr.stereo.patch_match import DepthMap
 
-RESOLUTION = 192  # voxels along the hull's longest side, at most
-FINEST = 0.7  # pixels; voxels are no smaller
-COARSER = 2  # times; voxels of a first fusion, near whose surface alone the fine one is made
-NEAR = 0.9  # of REACH; distance from the first fusion's surface to which the fine one is made
-REACH = 3.0  # pixels; distances are cut off there
+RESOLUTION = 192  # most voxels along the hull's longest side
+FINEST = 0.7  # pixels; least size of a voxel
+COARSER = 2  # size of a voxel of the first, coarse fusion; the fine fusion is limited to the band around its surface
+NEAR = 0.9  # times REACH; half the width of that band
+REACH = 3.0  # pixels; truncation of the signed distances
 BINS = 12  # of the histogram, from -REACH to REACH
-HULL_WEIGHT, HULL_FLOOR = 0.5, 0.02  # of the hull's vote near its surface and deep inside; a photograph's is at most 1
-THIN = 2.0  # REACH; parts of the hull that are less than that thick are held the more by its vote, the thinner they are
-THINNEST = 0.2  # of THIN; they are not held more than such parts
-FADING = 2.0  # REACH; depth over which the hull's vote falls to a third
-SOLID_WEIGHT = 0.05  # of a photograph's vote for what lies more than REACH behind its surface
-SOLID_DEPTH = 5.0  # REACH; what lies farther behind is not voted on
-POOLED = 1.0  # voxels; deviation of the Gaussian over which votes are put together
-VARIATION = 0.14  # of REACH; depth of votes of weight 1 that weighs as much as the field's total variation
-ROUNDS, FINE_ROUNDS = 120, 40  # of the search for the field, from the votes' median, and from the first fusion
-SMOOTHED = 0.5  # voxels; the same for the distances
-OUTSIDE = 1.0  # voxels outside its place at which the surface is taken
-SMALLEST = 0.02  # of the area; smaller pieces are noise of stereo
+HULL_WEIGHT, HULL_FLOOR = 0.5, 0.02  # weight of the hull's vote near its surface and deep inside; photographs: 0..1
+THIN = 2.0  # times REACH; where the hull is thinner, its vote weighs more
+THINNEST = 0.2  # times THIN; thickness below which the hull's vote weighs no more
+FADING = 2.0  # times REACH; depth over which the hull's vote falls to 1/e
+SOLID_WEIGHT = 0.05  # weight of a photograph's vote for solid space more than REACH behind its surface
+SOLID_DEPTH = 5.0  # times REACH; depth behind the surface at which these votes end
+POOLED = 1.0  # voxels; standard deviation of the Gaussian that pools the votes
+VARIATION = 0.14  # times REACH; weight of the total variation against votes of weight 1
+ROUNDS, FINE_ROUNDS = 120, 40  # iterations of the optimiser from the votes' median, and from the coarse fusion
+SMOOTHED = 0.5  # voxels; standard deviation of the Gaussian that smooths the final distances
+OUTSIDE = 1.0  # voxels; distance outside its place at which the surface is extracted
+SMALLEST = 0.02  # least area of a piece, as a share of the whole; smaller ones are noise
 
 
 def fuse(
     cameras: Sequence[Camera], maps: Sequence[DepthMap], weights: Sequence[np.ndarray], hull: Hull, pixel: float
 ) -> Mesh:
-    """Return the fused surface; without faces where the votes leave nothing solid.
+    """Fuse depth maps to a surface in the scene's frame; it has no faces if the votes leave nothing solid.
 
-    cameras: the maps', of any sizes; weights: of the maps' pixels (`patch_match.weigh`); hull: with something inside;
-    pixel: the size of the finest maps' pixels on the object.
+    cameras, maps: a camera for each depth map, of any sizes. weights [h,w] 0..1: the confidence in each map's pixels
+    (`patch_match.weigh`). hull: the visual hull, not empty. pixel: the size of the finest maps' pixels on the object,
+    in the scene's unit.
     """
     votes = _Votes(cameras, maps, weights, REACH * pixel)
     return _surface(_fused(votes, _Grid.around(hull, FINEST * pixel), hull, _roughly_fused(votes, hull, pixel)))
@@ -63,13 +64,19 @@ def fuse(
 def fuse_roughly(
     cameras: Sequence[Camera], maps: Sequence[DepthMap], weights: Sequence[np.ndarray], hull: Hull, pixel: float
 ) -> Mesh:
-    """Fuse depth maps as `fuse` does, but on a grid that is COARSER times as coarse, in a fraction of the time."""
+    """Fuse depth maps as `fuse` does, but faster, on a grid with COARSER times larger voxels.
+
+    The arguments are those of `fuse`; weights [h,w].
+    """
     return _surface(_roughly_fused(_Votes(cameras, maps, weights, REACH * pixel), hull, pixel))
 
 
 @dataclass(frozen=True)
 class _Votes:
-    """Depth maps and their pixels' weights, with the distance at which they are cut off, in the scene's unit."""
+    """Depth maps that vote on signed distances.
+
+    weights [h,w] 0..1: of each map's pixels. reach: the truncation of the distances, in the scene's unit.
+    """
 
     cameras: Sequence[Camera]
     maps: Sequence[DepthMap]
@@ -77,7 +84,7 @@ class _Votes:
     reach: float
 
     def on(self, points: np.ndarray) -> np.ndarray:
-        """Return the histograms [P,BINS] float32 of how far behind the maps' surfaces points [P,3] lie."""
+        """Return the histograms [P,BINS] float32 of the depth maps' votes on the signed distances of points [P,3]."""
         votes = np.empty((len(points), BINS), np.float32)
         cameras = np.stack([pinhole_row(camera) for camera in self.cameras])
         depths = [found.depth for found in self.maps]
@@ -86,34 +93,42 @@ class _Votes:
 
 
 class _Grid:
-    """Voxels in rows along x, y, z: origin [3] is the first one's centre, voxel their spacing, shape their numbers."""
+    """A grid of voxels along x, y and z.
+
+    origin [3]: the first voxel's centre, in the scene's frame. voxel: the spacing, in the scene's unit. shape: the
+    number of voxels along each axis.
+    """
 
     def __init__(self, origin: np.ndarray, voxel: float, shape: tuple[int, ...]) -> None:
         self.origin, self.voxel, self.shape = origin, voxel, shape
 
     @classmethod
     def around(cls, hull: Hull, finest: float) -> _Grid:
+        """Make a grid around a hull, with voxels of size `finest` or larger."""
         inside = hull.reached()
         low, high = inside.min(axis=0) - 1.5 * hull.voxel, inside.max(axis=0) + 1.5 * hull.voxel
         voxel = max(float((high - low).max()) / RESOLUTION, finest)
         return cls(low, voxel, tuple(int(count) + 1 for count in np.ceil((high - low) / voxel)))
 
     def centers(self) -> np.ndarray:
-        """Return the voxels' centres [P,3], row by row."""
+        """Return the voxels' centres [P,3] in the scene's frame, in C order."""
         places = np.stack(np.unravel_index(np.arange(np.prod(self.shape)), self.shape), axis=1)
         return np.asarray(places * self.voxel + self.origin)
 
     def blurred(self, voxels: np.ndarray, values: np.ndarray, deviation: float) -> np.ndarray:
-        """Blur the values [P] of the voxels `voxels` [P] by a Gaussian, with 0 elsewhere; deviation: in voxels."""
+        """Blur the values [P] of the voxels with flat indices `voxels` [P] by a Gaussian; other voxels count as 0.
+
+        deviation: the Gaussian's standard deviation, in voxels. Returns values [P].
+        """
         whole = np.zeros(int(np.prod(self.shape)), np.float32)
         whole[voxels] = values
         return np.asarray(ndimage.gaussian_filter(whole.reshape(self.shape), deviation).ravel()[voxels])
 
 
 def _fused(votes: _Votes, grid: _Grid, hull: Hull, rough: Hull | None) -> Hull:
-    """Return the signed distances to the fused surface, positive inside, cut off at the votes' reach.
+    """Return the signed distances to the fused surface, positive inside, truncated at the votes' reach.
 
-    rough: a coarser result; far from its surface it is taken over.
+    rough: the result of a coarser fusion, which is kept outside the band around its surface; None: there is none.
     """
     centers = grid.centers()
     depth = hull.values(centers).astype(np.float32) / votes.reach
@@ -140,9 +155,9 @@ def _fused(votes: _Votes, grid: _Grid, hull: Hull, rough: Hull | None) -> Hull:
 
 
 def _thickness(depth: np.ndarray, reach: float, grid: _Grid) -> np.ndarray:
-    """Return about how thick [P] the hull is around each voxel, as a share of THIN from THINNEST to 1.
+    """Return the hull's approximate thickness [P] around each voxel, as a share of THIN, limited to THINNEST..1.
 
-    depth [P]: signed depth inside the hull, in units of the votes' reach.
+    depth [P]: the voxels' signed depth inside the hull, in units of the votes' reach.
     """
     around = 2 * round(THIN * reach / grid.voxel) + 1
     deepest = ndimage.maximum_filter(depth.reshape(grid.shape), around, mode="nearest")
@@ -165,10 +180,7 @@ def _surface(field: Hull) -> Mesh:
 
 
 def _without_voids(mesh: Mesh) -> Mesh:
-    """Return the mesh without the pieces that bound a void inside, which no photograph sees.
-
-    Their volume is negative.
-    """
+    """Drop the pieces that bound an inner void, which no photograph sees. Their signed volume is negative."""
     count, pieces = mesh.components
     corners = mesh.vertices[mesh.faces]
     volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
@@ -176,13 +188,13 @@ def _without_voids(mesh: Mesh) -> Mesh:
 
 
 def _bins(shares: np.ndarray) -> np.ndarray:
-    """Return the bins [P] of distances [P] from -1 to 1; what lies beyond falls into the outermost."""
+    """Return the histogram bins [P] of distances [P] in -1..1; distances beyond fall into the outermost bins."""
     bins: np.ndarray = np.clip(((shares + 1) / 2 * BINS).astype(int), 0, BINS - 1)
     return bins
 
 
 def _median(histogram: np.ndarray) -> np.ndarray:
-    """Return the medians [P], -1..1, of histograms [P,BINS] that aren't empty."""
+    """Return the medians [P], -1..1, of histograms [P,BINS] that are not empty."""
     sums = np.cumsum(histogram, axis=1)
     half = sums[:, -1] / 2
     at = (sums < half[:, None]).sum(axis=1).clip(0, BINS - 1)

@@ -1,8 +1,8 @@
-"""PatchMatch stereo inside the masks: depth maps, and what other views confirm of them.
+"""PatchMatch stereo inside the masks: depth maps, and their confirmation by other views.
 
 Each photograph is matched with its neighbours on slanted planes by normalised cross-correlation (Bleyer and others
-2011; Schönberger and others 2016, whose checks between the views these are). The search begins on a surface that is
-known roughly, such as the visual hull, and prefers it where the photographs tell no more.
+2011). Geometric consistency between the views follows Schönberger and others 2016. The search starts on an approximate
+surface, such as the visual hull, and prefers it where the photographs are ambiguous.
 """
 
 from __future__ import annotations
@@ -19,26 +19,27 @@ from mgsr.native import _stereo
 from mgsr.parallel import map_ahead
 from mgsr.stereo.photographs import StereoPhotographs
 
-NEIGHBOURS = 8  # views that each is matched with
-HALF_DEPTH = 1.1  # world units before and behind the scene's centre that are searched
-CHECKED = 12  # views, the nearest, that may confirm a depth
-CONFIRMED = 2  # of them that must
-SAME = 2.0  # pixels by which depths of the same place may differ
-SEEN_THROUGH = 4.0  # pixels behind a place from which a view that sees so far contradicts it
-SAME_NORMAL = np.cos(np.radians(40.0))
-WORTHLESS, PERFECT = 0.2, 0.8  # scores between which a depth's weight rises from LEAST to 1
-LEAST = 0.05
+NEIGHBOURS = 8  # views to match each view with
+HALF_DEPTH = 1.1  # world units; depth of the search before and behind the scene's centre
+CHECKED = 12  # nearest views that may confirm a depth
+CONFIRMED = 2  # least number of them that must confirm it
+SAME = 2.0  # pixels; largest difference of depths that confirm each other
+SEEN_THROUGH = 4.0  # pixels; a view that sees farther than this behind a point contradicts it
+SAME_NORMAL = np.cos(np.radians(40.0))  # least cosine between normals that confirm each other
+WORTHLESS, PERFECT = 0.2, 0.8  # scores between which a depth's weight rises to 1
+LEAST = 0.05  # least such weight of a confirmed depth
 
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """How planes are compared and searched; the fields of StereoSettings in kernels/stereo/stereo.h, in its order.
+    """Settings of the matching: the fields of StereoSettings in kernels/stereo/stereo.h, in its order.
 
-    radius: samples of a patch on each side of its middle; spacing: pixels between them; noise: deviation, sRGB;
-    alike: sRGB by which samples differ from the middle's that weigh 0.6, and reach: pixels at which they do; best:
-    neighbours whose mean correlation is the score; cover: the least share of a patch that shows the object in a
-    neighbour; prior: what a depth that is prior_reach pixels off the start loses in score; search: pixels by which
-    depths are varied in the first of the rounds.
+    radius: samples of a patch on each side of its centre. spacing: pixels between samples. noise: standard deviation of
+    the image noise, sRGB 0..1. alike, reach: the colour difference, sRGB 0..1, and the distance, in pixels, from the
+    centre at which a sample weighs 0.6. best: the number of best neighbours whose mean correlation is the score. cover:
+    the least share of a patch that must show the object in a neighbour. prior: the loss in score of a depth that is
+    prior_reach pixels off the start. search: the variation of depths in the first round, in pixels. rounds: of the
+    search.
     """
 
     radius: int = 2
@@ -58,8 +59,8 @@ class MatchSettings:
 class DepthMap:
     """A depth map with normals and scores.
 
-    depth [h,w] float32 camera z, 0 where nothing is found; normal [h,w,3] float32, unit, world frame, towards the
-    camera; score [h,w] float32, the correlation with the neighbours that agree best, -1 where nothing is found.
+    depth [h,w] float32: camera z, 0 where unknown. normal [h,w,3] float32: unit, in the world frame, towards the
+    camera. score [h,w] float32: the mean NCC with the neighbours that agree best, -1 where unknown.
     """
 
     depth: np.ndarray
@@ -76,7 +77,7 @@ def match_views(
 ) -> list[DepthMap]:
     """Find each view's depth map, in the order of the photographs. The same seed gives the same maps.
 
-    start: the surface where the search begins; progress: told of the share of the views that are done, 0..1.
+    start: the surface on which the search begins. progress: receives the share of the views that are done, 0..1.
     """
     maps = []
     for view in range(len(photographs.images)):
@@ -112,25 +113,25 @@ def _match(photographs: StereoPhotographs, view: int, start: RayCaster, seed: in
 
 
 def search_range(camera: Camera) -> tuple[float, float]:
-    """Return the least and the largest camera z at which a surface may lie."""
+    """Return the least and the largest camera z of the search, in world units."""
     middle = float(camera.cam_from_world[2, 3])
     nearest = max(middle - HALF_DEPTH, 0.05 * abs(middle), 1e-3)
     return nearest, max(middle + HALF_DEPTH, 2 * nearest)
 
 
 def weigh(photographs: StereoPhotographs, maps: Sequence[DepthMap]) -> list[np.ndarray]:
-    """Weigh each pixel of the depth maps, [h,w] float32 in 0..1, by how far other views confirm it.
+    """Return the confidence [h,w] float32 0..1 in each pixel of the depth maps.
 
-    A pixel weighs 0 unless at least CONFIRMED views confirm it, and more confirm than contradict it. What is seen
-    head-on and correlates well weighs more.
+    It is 0 unless at least CONFIRMED views confirm the depth, and more confirm than contradict it. Depths that are seen
+    head-on and correlate well weigh more.
     """
     return list(map_ahead(lambda view: _weights(photographs, maps, view), range(len(maps)), None))
 
 
 def weigh_gaps(coarse: Sequence[np.ndarray], fine: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Weigh coarser maps' pixels by the share of their area in which finer maps of the same views hold nothing.
+    """Multiply coarse maps' weights by the share of each pixel's area in which the finer maps have no depth.
 
-    coarse: weights [h,w] of the coarser maps' pixels; fine: those of the finer maps.
+    coarse [h,w], fine [H,W]: the weights of the coarse and the finer maps of the same views. Returns weights [h,w].
     """
     return [
         weights * (1 - reduce_area((finer > 0)[..., None].astype(np.float32), *weights.shape[::-1])[..., 0])
@@ -139,6 +140,7 @@ def weigh_gaps(coarse: Sequence[np.ndarray], fine: Sequence[np.ndarray]) -> list
 
 
 def _weights(photographs: StereoPhotographs, maps: Sequence[DepthMap], view: int) -> np.ndarray:
+    """Return the confidence [h,w] float32 0..1 in one view's depths (`weigh`)."""
     camera, found = photographs.cameras[view], maps[view]
     rays = pixel_rays(camera)
     rows, columns = np.nonzero(found.depth)

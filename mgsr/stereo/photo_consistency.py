@@ -1,4 +1,4 @@
-"""Photo-consistency: how well photographs agree about what lies on a surface."""
+"""Photo-consistency of a surface: how well the photographs agree at its points."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from mgsr.stereo.photographs import StereoPhotographs
 
 
 def photo_consistency(photographs: StereoPhotographs, surface: RayCaster) -> float:
-    """Return the mean normalised cross-correlation, -1..1, of the photographs with their neighbours on a surface.
+    """Return the photo-consistency of a surface: the mean NCC, -1..1, of the photographs with their neighbours.
 
-    Patches are warped by the surface's planes, and the mean is over all pixels that show the object; where the surface
-    leaves such a pixel bare, -1. It is 0 where no photograph has neighbours to compare with.
+    Patches are warped by the surface's tangent planes. The mean is over all pixels that show the object; a pixel
+    without surface counts as -1. The result is 0 if no photograph has neighbours.
     """
     settings = [float(each) for each in astuple(MatchSettings())]
     total, count = 0.0, 0

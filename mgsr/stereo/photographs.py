@@ -1,4 +1,4 @@
-"""Photographs prepared for stereo: reduced in size, with the share of each pixel that shows the object."""
+"""Photographs prepared for stereo: reduced in size, with the mask as a fourth channel."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from mgsr.data.scene import View, some_of
 from mgsr.data.valid_mask import filled, valid_mean
 from mgsr.parallel import map_ahead
 
-MOST_PIXELS = 1_200_000  # of the object in all of them together; larger photographs are reduced
-APART, FARTHEST = 20.0, 60.0  # degrees; neighbours are best so far apart, and at most
+MOST_PIXELS = 1_200_000  # most object pixels in all photographs together; larger photographs are reduced
+APART, FARTHEST = 20.0, 60.0  # degrees; the best and the largest angle between neighbours
 
 
 @dataclass(frozen=True)
 class StereoPhotographs:
     """Photographs prepared for stereo.
 
-    images: for each view [h,w,4] float32, sRGB 0..1 and the share of the pixel that shows the object, 0 where the
-    photograph does not show the pixel; cameras: of the same sizes.
+    images [h,w,4] float32, for each view: sRGB 0..1, and the object's share of the pixel, which is 0 at invalid pixels.
+    cameras: of the same sizes.
     """
 
     images: list[np.ndarray]
@@ -31,24 +31,25 @@ class StereoPhotographs:
 
     @cached_property
     def packed_cameras(self) -> np.ndarray:
-        """Return the cameras as one array [N,16] float32, a `pinhole_row` each."""
+        """Return the cameras as one array [N,16] float32 of `pinhole_row` rows."""
         return np.array([pinhole_row(camera) for camera in self.cameras], np.float32)
 
     def neighbours(self, view: int, count: int, apart: float = APART) -> list[int]:
-        """Return at most `count` views, by index, those nearest to `apart` degrees from `view` first (`neighbours`)."""
+        """Return the indices of at most `count` neighbours of `view`, those nearest to `apart` degrees away first."""
         return neighbours(self.cameras, view, count, apart, FARTHEST)
 
     def reduced(self, share: float) -> StereoPhotographs:
-        """Reduce the photographs' sides to a share of theirs, each pixel the mean over its area."""
+        """Reduce the photographs' sides by the factor `share`; each new pixel is the mean over its area."""
         cameras = [_resized(camera, share) for camera in self.cameras]
         pairs = zip(self.images, cameras, strict=True)
         return StereoPhotographs([reduce_area(image, each.width, each.height) for image, each in pairs], cameras)
 
 
 def neighbours(cameras: Sequence[Camera], view: int, count: int, apart: float, farthest: float) -> list[int]:
-    """Return at most `count` cameras near camera `view`, by index, those nearest to `apart` degrees from it first.
+    """Return the indices of at most `count` neighbours of camera `view`, those nearest to `apart` degrees away first.
 
-    Angles are between the directions from the scene's centre; cameras at `farthest` degrees or more are left out.
+    Angles are between the cameras' directions from the scene's centre, in degrees. Cameras at `farthest` or more are
+    excluded.
     """
     away = np.array([camera.center for camera in cameras])
     away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
@@ -59,7 +60,7 @@ def neighbours(cameras: Sequence[Camera], view: int, count: int, apart: float, f
 
 
 def stereo_photographs(views: Sequence[View]) -> StereoPhotographs:
-    """Prepare `some_of` a scene's views, reduced until MOST_PIXELS show the object."""
+    """Prepare `some_of` a scene's views, reduced so that at most MOST_PIXELS show the object."""
     some = some_of(views)
     area = sum(float((view.alpha > 127).sum()) if view.alpha is not None else view.image[..., 0].size for view in some)
     shrink = min(1.0, (MOST_PIXELS / max(area, 1)) ** 0.5)
@@ -68,6 +69,7 @@ def stereo_photographs(views: Sequence[View]) -> StereoPhotographs:
 
 
 def _prepared(view: View, shrink: float) -> tuple[np.ndarray, Camera]:
+    """Return a view's image [h,w,4] for stereo and its camera, both reduced by the factor `shrink`."""
     camera, known = view.camera, view.valid_mask
     alpha = np.full(view.image.shape[:2], 255, np.uint8) if view.alpha is None else view.alpha
     pixels: np.ndarray = np.concatenate([view.image, alpha[..., None]], axis=-1).astype(np.float32)

@@ -1,4 +1,4 @@
-"""What a step of the mesh's finishing is, what it is given, and what it reports."""
+"""The interface of the steps that finish a mesh: their context, results and reports."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from mgsr.mesh.views import SurfaceView
 from mgsr.shading.light_estimate import LightEstimate
 from mgsr.shading.photo_set import PhotoSet
 
-SHOWN = 0.6  # share of an image's side that the object takes up
+SHOWN = 0.6  # the object's extent, as a share of an image's side
 
 Outcome = Mapping[str, float | bool | str]
 
 
 class SceneFacts(Protocol):
-    """What the cost of a step depends on (`mgsr.budget.costs.Facts`)."""
+    """The properties of a scene that determine a step's cost (`mgsr.budget.costs.Facts`)."""
 
     @property
     def views(self) -> int: ...
@@ -41,11 +41,11 @@ class SceneFacts(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class StepContext:
-    """What all steps of one extraction share.
+    """The input that all steps of one extraction share.
 
-    views: the rendered surface; photos: the training photographs with their silhouettes, both maybe none; footprint:
-    the median size of a rendered pixel on the surface, in the scene's unit; hull: the visual hull, None where it holds
-    nothing; go_on: whether there is time for another round of refinement.
+    views: the rendered surface. photos: the training photographs with their silhouettes, both possibly empty.
+    footprint: the median size of a rendered pixel on the surface, in the scene's unit. hull: the visual hull that
+    bounds the mesh, None without one. go_on: returns whether there is time for another round of refinement.
     """
 
     views: Sequence[SurfaceView]
@@ -56,14 +56,14 @@ class StepContext:
     go_on: Callable[[], bool]
 
     def require_faces(self, mesh: Mesh, reason: str) -> None:
-        """Raise MeshError with the reason, and what to do about it, for a mesh without faces."""
+        """Raise MeshError with the reason and a remedy if the mesh has no faces."""
         if len(mesh.faces) == 0:
             raise MeshError(f"empty mesh: {reason}; {cure(self.config)}")
 
 
 @dataclass(frozen=True)
 class StepResult:
-    """The mesh and the light estimate after a step; outcome: what the report tells of it."""
+    """The mesh and the light estimate after a step; outcome: the step's entries in the report."""
 
     mesh: Mesh
     light: LightEstimate
@@ -72,7 +72,7 @@ class StepResult:
 
 @dataclass(frozen=True)
 class StepReport:
-    """What the report says of a step: the seconds that it took, the faces that it left, and its outcome."""
+    """The report on a step: its duration in seconds, the number of faces after it, and its outcome."""
 
     seconds: float
     faces: int
@@ -80,32 +80,32 @@ class StepReport:
 
 
 class MeshStep(ABC):
-    """A step of the mesh's finishing.
+    """A step that finishes a mesh.
 
-    Its options are fields of a frozen dataclass with unit and meaning. name: its key in the report.
+    A step is a frozen dataclass; its fields are its options, each with unit and meaning. name: its key in the report.
     """
 
-    refines = False  # whether it is refinement by the photographs, which a time budget may leave out
+    refines = False  # whether it refines the mesh by the photographs, which a time budget may skip
 
     @property
     @abstractmethod
     def name(self) -> str: ...
 
     def applies(self, context: StepContext, light: LightEstimate) -> bool:
-        """Return whether the step is taken."""
+        """Return whether the step applies."""
         return True
 
     def cost(self, facts: SceneFacts, config: MeshConfig) -> float:
-        """Return the seconds that the step takes, as `mgsr.budget.costs` counts them; 0 where they do not matter."""
+        """Return the step's duration in seconds, as `mgsr.budget.costs` counts them; 0 if negligible."""
         return 0.0
 
     @abstractmethod
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
-        """Take the step. Raises MeshError where no surface is left."""
+        """Run the step. Raises MeshError if no surface is left."""
 
 
 class TimeLeft:
-    """Whether there is time: once `go_on` says no, it stays no."""
+    """A callable that returns whether time is left: False for good once `go_on` returns False."""
 
     def __init__(self, go_on: Callable[[], bool]) -> None:
         self._go_on, self._left = go_on, True
@@ -116,7 +116,7 @@ class TimeLeft:
 
 
 def cure(config: MeshConfig) -> str:
-    """Return what to do where no surface comes out."""
+    """Return a remedy for an extraction without surface."""
     return (
         "look at the rendered depth of the 2D branch: train it longer, or relax "
         f"mesh.min_alpha={config.min_alpha}, mesh.min_cos={config.min_cos}, mesh.consistency={config.consistency} or "
@@ -125,20 +125,20 @@ def cure(config: MeshConfig) -> str:
 
 
 def rendered_pixels(facts: SceneFacts, config: MeshConfig) -> float:
-    """Return the pixels of all rendered views together."""
+    """Return the total number of pixels of all rendered views."""
     return min(facts.views * facts.pixels * config.view_scale**2, config.max_pixels)
 
 
 def surface_cells(facts: SceneFacts, config: MeshConfig) -> float:
-    """Return the number of faces along a side of the extracted surface, as a share of 256."""
+    """Return the number of cells along a side of the extracted surface, relative to 256."""
     across = SHOWN * (rendered_pixels(facts, config) / facts.views) ** 0.5
     return float(min(2**config.poisson_depth, across) / 256)
 
 
 def reading_size(facts: SceneFacts, config: MeshConfig) -> float:
-    """Return what reading the photographs at every vertex takes, as a share of the usual.
+    """Return the cost of sampling the photographs at every vertex, relative to the reference scene.
 
-    There is one vertex for each cell of the surface, but none finer than pixels.
+    There is one vertex for each cell of the surface, but no more than pixels allow.
     """
     cells = min(1.0, 2**config.poisson_depth / facts.pixels**0.5)
     return float((facts.views / 48 * facts.size) ** 0.7 * cells**1.2)

@@ -124,6 +124,7 @@ def test_what_is_finished_is_not_run_again(done: Matrix) -> None:
     assert done.rows() == rows
 
 
+@pytest.mark.slow
 def test_a_half_written_cell_is_run_again_and_no_other(done: Matrix) -> None:
     before = done.written(done.truth)
     path = done.folder(done.bare) / "report.json"

@@ -73,6 +73,7 @@ def test_single_steps_see_what_the_run_saw(scene: Path, done: Path, tmp_path: Pa
     assert refused.exit_code != 0 and "exposures.json: expected three factors for each photograph" in refused.output
 
 
+@pytest.mark.slow
 def test_a_later_run_without_leaves_no_factors(done: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()

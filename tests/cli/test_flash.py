@@ -92,6 +92,7 @@ def test_python_lights_as_the_run_did(capture: Path, done: Path) -> None:
                 assert color is not None and np.abs(color - picture[..., :3])[there].mean() < 0.5 / 255
 
 
+@pytest.mark.slow
 def test_without_it_splats_hold_what_photographs_show(capture: Path, done: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(done, out)

@@ -125,6 +125,7 @@ def test_each_method_ends_with_a_mesh(plain_scene: Path, tmp_path: Path, method:
     assert not (tmp_path / "renders" / "test" / "r_0_transmitted.png").exists()
 
 
+@pytest.mark.slow
 def test_files_in_another_unit(scene: Path, done: Path, tmp_path: Path) -> None:
     """Check that every file is larger by the same factor, and is compared with the truth in the capture's unit."""
     out, like_the_run = tmp_path / "out", ["--preset", "draft", "--set", "poisson_depth=6"]

@@ -50,6 +50,7 @@ def visual_hull(root: Path) -> trimesh.Trimesh:
     return hull
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["floor", "hull"])
 def test_a_mesh_scores_what_the_reference_says(scene: Scene, kind: str) -> None:
     floor = kind == "floor"

@@ -148,6 +148,7 @@ def test_a_flash_keeps_its_surface(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     np.testing.assert_allclose(found[0].mesh.vertices, lighting().mesh.vertices, rtol=0, atol=3e-7)
 
 
+@pytest.mark.slow
 def test_the_reports_pictures_are_those_of_the_same_scene_at_the_origin() -> None:
     ball = trimesh.creation.icosphere(3, 0.7)
     views = [View("a", looking_at_origin(np.array([1.0, 2.0, 2.0])), np.zeros((2, 2, 3), np.uint8))]

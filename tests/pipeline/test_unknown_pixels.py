@@ -127,6 +127,7 @@ def same(one: object, other: object) -> bool:
     return bool(one == other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("masked", [True, False])
 def test_what_stands_at_unknown_pixels_changes_nothing(masked: bool, tmp_path: Path) -> None:
     scene = load_scene(write_fisheye(tmp_path / "scene", masked=masked), DataConfig())

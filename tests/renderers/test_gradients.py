@@ -102,7 +102,7 @@ def compare(
 @pytest.mark.parametrize("lights", [(), ("own",), ("environment_map",), ("own", "environment_map")], ids="+".join)
 def test_gaussians(machine: Machine, lights: tuple[str, ...], flash: bool) -> None:
     lit = draw(VIEW.height, VIEW.width, seed=5) if flash else None
-    extra = {"environment_map": draw(VIEW.height, VIEW.width, 3, seed=6)} if "environment_map" in lights else {}
+    extra = {"environment": draw(VIEW.height, VIEW.width, 3, seed=6)} if "environment_map" in lights else {}
 
     def render(leaves: dict[str, Tensor], environment: Tensor | None = None) -> dict[str, Tensor]:
         model = GaussianModel(**leaves, low_pass=LOW_PASS)

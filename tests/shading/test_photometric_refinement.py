@@ -139,6 +139,7 @@ def test_a_dent_comes_out_under_a_flash() -> None:
     assert error(found.vertices) < 0.8 * error(unlit.vertices)
 
 
+@pytest.mark.slow
 def test_the_surface_of_a_capture_is_moved_where_outlines_hold_it() -> None:
     """Check that a surface is moved where outlines hold it.
 

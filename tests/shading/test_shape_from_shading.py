@@ -175,6 +175,7 @@ def test_the_truth_stays_where_it_is_though_tilted_varnish_mirrors_more() -> Non
     assert np.linalg.norm(refined.vertices - truth.vertices, axis=1).mean() < 0.005
 
 
+@pytest.mark.slow
 def test_creases_stay_as_deep_as_they_are_though_pixels_flatten_them() -> None:
     truth = grooved()
     work = ShadingPass(edge=1.0, rounds=4, reach=20.0)

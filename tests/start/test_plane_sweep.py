@@ -118,6 +118,7 @@ def test_cameras_that_share_nothing_show_nothing(matte: list[View]) -> None:
     assert len(sweep_planes(matte[:1]).positions) == 0
 
 
+@pytest.mark.slow
 def test_noise_at_unknown_pixels_changes_nothing(matte: list[View]) -> None:
     """Check that points come from known pixels, and are to the byte the same whatever stands at others."""
     near = sorted(matte, key=lambda view: np.linalg.norm(view.camera.center - matte[0].camera.center))[:12]

@@ -48,6 +48,7 @@ def test_hull_points_lie_on_the_ball(ball_scene: Scene) -> None:
     assert (points.colors == [200, 100, 50]).all()
 
 
+@pytest.mark.slow
 def test_the_seed_decides(ball_scene: Scene) -> None:
     first, again, other = (starting_points(ball_scene, 500, seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first.positions, again.positions)

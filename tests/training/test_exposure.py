@@ -60,6 +60,7 @@ def test_nothing_is_trained_for_even_photographs(monkeypatch: pytest.MonkeyPatch
     assert find_exposures(few, START, seed=0) is None
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_factors() -> None:
     scene, _ = varied(ball_scene(size=32, train=16, test=2))
     first, again = (find_exposures(scene, START, seed=1) for _ in range(2))

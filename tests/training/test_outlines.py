@@ -65,6 +65,7 @@ def test_paint_of_the_backdrops_colour_makes_no_hole(truth: Scene) -> None:
     assert overlaps(by_colour, truth).min() < 0.9 and overlaps(masks, truth).min() > 0.95
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_masks(truth: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outlines, "ITERATIONS", 60)
     scene, found = before((0, 0, 0), noise=0, scene=truth), []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -72,6 +72,19 @@ def carve(
         active = _children(active[near | ~judged])
         field = np.repeat(np.repeat(np.repeat(field, 2, 0), 2, 1), 2, 2)
         size *= 2
+
+
+def cut_at(hull: Hull, plane: np.ndarray, margin: float = 0.0) -> Hull:
+    """Return the hull without what lies more than a margin below a plane.
+
+    plane [4]: the unit normal, which points up, and the offset, with normal . x + offset = 0, in the hull's frame.
+    margin: in the hull's unit.
+    """
+    # Heights are linear, so the heights along the axes add up.
+    axes = hull.origin + np.arange(len(hull.field))[:, None] * hull.voxel
+    x, y, z = (axes[:, i] * plane[i] for i in range(3))
+    heights = x[:, None, None] + y[None, :, None] + z[None, None, :] + plane[3]
+    return replace(hull, field=np.minimum(hull.field, heights + margin).astype(np.float32))
 
 
 def hull_surface(hull: Hull) -> tuple[np.ndarray, np.ndarray]:

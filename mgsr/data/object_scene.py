@@ -14,12 +14,14 @@ from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import silhouettes
 
 
-def with_object(scene: Scene, train: Sequence[np.ndarray], test: Sequence[np.ndarray]) -> Scene:
+def with_object(
+    scene: Scene, train: Sequence[np.ndarray], test: Sequence[np.ndarray], ground: np.ndarray | None = None
+) -> Scene:
     """Return the scene with masks, in the frame in which the unit ball holds the object.
 
     train, test: masks [H,W] uint8 of the views, in their order. Views with an empty mask are left out. So are the few
     training views with masks that contradict the others; a note names them. Raises SceneError if no object fits the
-    masks.
+    masks. ground [4]: the plane on which the object stands, in the user's frame, None if it is unknown.
     """
     old = scene.user_from_scene
     views, tests = (
@@ -33,12 +35,15 @@ def with_object(scene: Scene, train: Sequence[np.ndarray], test: Sequence[np.nda
     points = scene.points
     if points is not None:
         points = PointCloud(frame.to_scene(old.to_user(points.positions)), points.colors)
+    if ground is not None:
+        ground = frame.inverse.plane_to_user(ground)
     return replace(
         scene,
         train=[replace(view, camera=frame.camera_to_scene(view.camera)) for view in views],
         test=[replace(view, camera=frame.camera_to_scene(view.camera)) for view in tests],
         points=points,
         user_from_scene=frame,
+        ground=ground,
         notes=(*scene.notes, *odd),
     )
 

@@ -52,6 +52,10 @@ class Similarity:
         placed: np.ndarray = (points - self.offset) / self.scale
         return placed
 
+    def plane_to_user(self, plane: np.ndarray) -> np.ndarray:
+        """Return a plane [4], unit normal and offset, of the normalised frame in the user's frame."""
+        return np.append(plane[:3], plane[3] * self.scale - plane[:3] @ self.offset)
+
     @property
     def inverse(self) -> Similarity:
         """Return the inverse similarity: scene = inverse.to_user(user)."""
@@ -119,6 +123,8 @@ class Scene:
     of them: the surface will be a guess. exposures: the factors divided out of the photographs; None where they are
     unchanged (see `exposure.py`). ignoring: whether masks of regions to ignore make pixels invalid. source and
     read_with: the path and the settings of the reading; None and the defaults for a scene that was not read from files.
+    ground [4]: the plane on which a found object stands, None if it is unknown. It holds the points x with
+    ground[:3] . x + ground[3] = 0; its unit normal points up.
     """
 
     name: str
@@ -134,6 +140,7 @@ class Scene:
     ignoring: bool = False
     source: Path | None = None
     read_with: DataConfig = field(default_factory=DataConfig)
+    ground: np.ndarray | None = None
 
     @property
     def masked(self) -> bool:

@@ -37,6 +37,7 @@ def extract_mesh(
     go_on: Callable[[], bool] = lambda: True,
     start: Mesh | None = None,
     steps: Sequence[MeshStep] = STEPS,
+    ground: np.ndarray | None = None,
 ) -> ReconstructedMesh:
     """Extract the surface that the views show, in their frame, and finish it in steps (`mgsr.mesh.steps`).
 
@@ -44,7 +45,8 @@ def extract_mesh(
     contours coincide with theirs. photographs: the training views, which refine the mesh. threads: the cores to use;
     None: all. go_on: returns whether there is time for another round of refinement. start: the surface on which
     training began. It replaces the trained surface if the photographs clearly prefer it. If the trained surface is
-    torn, `start` fitted to the views replaces it.
+    torn, `start` fitted to the views replaces it. ground [4]: the plane on which the object stands, in the views'
+    frame, where the mesh ends; None if it is unknown.
 
     Raises MeshError, with the reason, if there is no surface.
     """
@@ -53,7 +55,7 @@ def extract_mesh(
         raise MeshError(_nothing_seen(views, config))
     hull = SilhouetteHull(silhouettes) if silhouettes and config.hull_margin is not None else None
     photos = PhotoSet(photographs, silhouettes, threads)
-    context = StepContext(views, photos, config, footprint, hull, TimeLeft(go_on))
+    context = StepContext(views, photos, config, footprint, hull, TimeLeft(go_on), ground)
     extract = {Extractor.POISSON: _by_poisson, Extractor.TSDF: _by_tsdf}[config.extractor]
     trained = extract(context)
     chosen = None if start is None else _better_start(start, trained, context)

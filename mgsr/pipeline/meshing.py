@@ -30,7 +30,8 @@ def make_mesh(
     """
     views = surface_views(model, scene, config)
     outlined = outlined_scene(model, scene, config)
-    mesh = extract_mesh(views, config.mesh, scene_silhouettes(outlined), outlined.train, go_on=go_on, start=start)
+    silhouettes = scene_silhouettes(outlined)
+    mesh = extract_mesh(views, config.mesh, silhouettes, outlined.train, go_on=go_on, start=start, ground=scene.ground)
     to_user = scene.user_from_scene.to_user
     textured = None
     if config.output.texture is not None:

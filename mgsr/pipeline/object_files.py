@@ -23,15 +23,23 @@ def write_object(out: Path, scene: Scene, found: FoundObject) -> None:
     """Write masks/NAME.png of all views, and object.json.
 
     The masks are as MGSR reads them beside photographs: corrected ones can be given back. object.json has the corners
-    of the object's box in the user's frame, and by each training view's name how well its mask agrees with the others.
+    of the object's box and its support plane in the user's frame, and by each training view's name how well its mask
+    agrees with the others.
     """
     with atomic_write(out / MASKS) as folder:
         for (_, name), mask in zip(_names(scene), [*found.train, *found.test], strict=True):
             write_image(folder / name, mask)
     low, high = scene.user_from_scene.to_user(found.box).tolist()
     agreement = {view.name: round(float(value), 4) for view, value in zip(scene.train, found.agreement, strict=True)}
+    ground = ground_of(scene, found)
+    plane = None if ground is None else ground.tolist()
     with atomic_write(out / OBJECT) as path:
-        path.write_text(json.dumps({"box": [*low, *high], "agreement": agreement}, indent=1))
+        path.write_text(json.dumps({"box": [*low, *high], "ground": plane, "agreement": agreement}, indent=1))
+
+
+def ground_of(scene: Scene, found: FoundObject) -> np.ndarray | None:
+    """Return the plane [4] on which the object stands, in the user's frame, None without one (see `Scene.ground`)."""
+    return None if found.plane is None else scene.user_from_scene.plane_to_user(found.plane.coefficients)
 
 
 def require_place_for_masks(out: Path) -> None:
@@ -55,7 +63,9 @@ def with_found_object(out: Path, scene: Scene) -> Scene:
     if not (out / OBJECT).is_file():
         return scene
     masks = [_read(out / MASKS / name, view, out) for view, name in _names(scene)]
-    return with_object(scene, masks[: len(scene.train)], masks[len(scene.train) :])
+    plane = json.loads((out / OBJECT).read_text())["ground"]
+    ground = None if plane is None else np.array(plane)
+    return with_object(scene, masks[: len(scene.train)], masks[len(scene.train) :], ground)
 
 
 def _names(scene: Scene) -> Iterator[tuple[View, str]]:

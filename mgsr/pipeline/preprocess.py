@@ -18,7 +18,7 @@ from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import origin_notes
 from mgsr.pipeline import result_files
-from mgsr.pipeline.object_files import clear_object, require_place_for_masks, write_object
+from mgsr.pipeline.object_files import clear_object, ground_of, require_place_for_masks, write_object
 from mgsr.pipeline.progress import Event
 from mgsr.pipeline.run_metadata import scene_line
 from mgsr.pipeline.steps import Steps
@@ -151,7 +151,7 @@ def _object_alone(
             return scene, start if scene.exposures is None else points(scene, "object", anew)
         write_object(out, scene, found)
         known = len(scene.notes)
-        scene = with_object(scene, found.train, found.test)
+        scene = with_object(scene, found.train, found.test, ground_of(scene, found))
         note = f"the object was found: its masks in the photographs agree to {found.agreement.mean():.0%}"
         for each in (note, *scene.notes[known:]):
             step.progress(Event("object", each))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from mgsr.data.camera import Camera, pixel_size
-from mgsr.data.hull import Hull, carve
+from mgsr.data.hull import Hull, carve, cut_at
 from mgsr.data.silhouettes import Silhouette, signed_distance
 from mgsr.geometry.raycast import RayCaster
 from mgsr.segmentation.support_plane import SupportPlane
@@ -32,12 +31,7 @@ def tolerant_hull(
     hull = carve(outlines, box.mean(axis=0), HALF * float((box[1] - box[0]).max()), RESOLUTION, wrong)
     if plane is None:
         return hull
-    # A height is linear in the coordinates, so it is the sum of one term for each axis.
-    axes = hull.origin + np.arange(RESOLUTION)[:, None] * hull.voxel
-    along = [axes[:, i] * plane.normal[i] for i in range(3)]
-    heights = along[0][:, None, None] + along[1][None, :, None] + along[2][None, None, :] + plane.offset
-    above = heights + SUNK * pixel_size(cameras, np.zeros(3))
-    return replace(hull, field=np.minimum(hull.field, above).astype(np.float32))
+    return cut_at(hull, plane.coefficients, SUNK * pixel_size(cameras, np.zeros(3)))
 
 
 def silhouette(caster: RayCaster, camera: Camera) -> np.ndarray:

@@ -27,6 +27,11 @@ class SupportPlane:
     normal: np.ndarray
     offset: float
 
+    @property
+    def coefficients(self) -> np.ndarray:
+        """Return the normal and the offset in one array, [4]."""
+        return np.append(self.normal, self.offset)
+
     def heights(self, points: np.ndarray) -> np.ndarray:
         """Return the signed heights [P] of points [P,3] above the plane, in the world's unit."""
         return np.asarray(points @ self.normal + self.offset)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mgsr.config import Background
-from mgsr.data.hull import carve, hull_surface
+from mgsr.data.hull import carve, cut_at, hull_surface
 from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
 from mgsr.geometry.mesh import Mesh
@@ -95,7 +95,7 @@ def starting_points(
     """
     generator = np.random.default_rng(seed)
     if scene.masked:
-        return _surface_points(scene.train, silhouettes(scene.train, MASK_SIDE), count, seed, generator, progress)
+        return _surface_points(scene, silhouettes(scene.train, MASK_SIDE), count, seed, generator, progress)
     own = _own_points(scene.points) if scene.points is not None else None
     return _unmasked_points(scene, own, count, seed, progress, background)
 
@@ -168,7 +168,7 @@ def _some(index: np.ndarray, most: int, generator: np.random.Generator) -> np.nd
 
 
 def _surface_points(
-    views: Sequence[View],
+    scene: Scene,
     outlines: Sequence[Silhouette],
     count: int,
     seed: int,
@@ -177,11 +177,14 @@ def _surface_points(
 ) -> StartingPoints:
     side = max(max(outline.distance.shape) for outline in outlines)
     resolution = RESOLUTION if side >= RESOLUTION else RESOLUTION // 2  # small images have no finer detail
-    found = find_surface(views, outlines, carve(outlines, np.zeros(3), 1.05, resolution), seed, progress)
+    hull = carve(outlines, np.zeros(3), 1.05, resolution)
+    if scene.ground is not None:
+        hull = cut_at(hull, scene.ground)
+    found = find_surface(scene.train, outlines, hull, seed, progress)
     positions, normals = _sample(found.mesh, count, generator)
     shiny = found.light is not LightKind.UNKNOWN
     return replace(
-        _seen_on_hull(views, positions, normals, resolution),
+        _seen_on_hull(scene.train, positions, normals, resolution),
         shiny=shiny,
         lighting=found.lighting,
         surface=found.mesh,

@@ -24,7 +24,8 @@ def test_the_frame_is_that_of_the_capture_with_masks(folder: Path) -> None:
     masked = load_scene(folder, make_config().data)
     bare = load_scene(folder, make_config(overrides=["masks=off"]).data)
     assert not bare.masked and bare.user_from_scene.scale != pytest.approx(masked.user_from_scene.scale, rel=1e-3)
-    found = with_object(bare, *([present(view.alpha) for view in views] for views in (masked.train, masked.test)))
+    train, test = ([present(view.alpha) for view in views] for views in (masked.train, masked.test))
+    found = with_object(bare, train, test)
     assert found.masked
     assert found.user_from_scene.scale == pytest.approx(masked.user_from_scene.scale)
     np.testing.assert_allclose(found.user_from_scene.offset, masked.user_from_scene.offset, atol=1e-9)

@@ -2,6 +2,7 @@
 
 from mgsr.mesh.steps.bilateral_filter import BilateralFilter
 from mgsr.mesh.steps.close_holes import CloseHoles
+from mgsr.mesh.steps.cut_at_ground import CutAtGround
 from mgsr.mesh.steps.decimate import Decimate
 from mgsr.mesh.steps.drop_degenerate import DropDegenerate
 from mgsr.mesh.steps.drop_small_pieces import DropSmallPieces
@@ -28,6 +29,7 @@ STEPS: tuple[MeshStep, ...] = (
     RemoveContradicted(),
     SmoothLowFrequency(),
     BilateralFilter(),
+    CutAtGround(),
     CloseHoles(),
     Decimate(),
 )

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import numpy as np
+
 from mgsr.config import MeshConfig
 from mgsr.errors import MeshError
 from mgsr.geometry.mesh import Mesh
@@ -45,7 +47,8 @@ class StepContext:
 
     views: the rendered surface. photos: the training photographs with their silhouettes, both possibly empty.
     footprint: the median size of a rendered pixel on the surface, in the scene's unit. hull: the visual hull that
-    bounds the mesh, None without one. go_on: returns whether there is time for another round of refinement.
+    bounds the mesh, None without one. go_on: returns whether there is time for another round of refinement. ground [4]:
+    the plane on which a found object stands, None if it is unknown (see `Scene.ground`).
     """
 
     views: Sequence[SurfaceView]
@@ -54,6 +57,7 @@ class StepContext:
     footprint: float
     hull: SilhouetteHull | None
     go_on: Callable[[], bool]
+    ground: np.ndarray | None = None
 
     def require_faces(self, mesh: Mesh, reason: str) -> None:
         """Raise MeshError with the reason and a remedy if the mesh has no faces."""

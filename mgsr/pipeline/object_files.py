@@ -63,7 +63,7 @@ def with_found_object(out: Path, scene: Scene) -> Scene:
     if not (out / OBJECT).is_file():
         return scene
     masks = [_read(out / MASKS / name, view, out) for view, name in _names(scene)]
-    plane = json.loads((out / OBJECT).read_text())["ground"]
+    plane = json.loads((out / OBJECT).read_text()).get("ground")
     ground = None if plane is None else np.array(plane)
     return with_object(scene, masks[: len(scene.train)], masks[len(scene.train) :], ground)
 

@@ -15,6 +15,7 @@ import torch
 
 from mgsr.data.camera import Camera
 from mgsr.gaussians.surfels import SurfelModel
+from mgsr.geometry.raycast import pixel_rays
 from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.support_plane import SupportPlane
 
@@ -128,10 +129,3 @@ class BackgroundSources:
         color = cv2.remap(self.images[index], across, down, cv2.INTER_LINEAR).reshape(-1, 3)
         clear = cv2.remap(self.clear[index], across, down, cv2.INTER_LINEAR).ravel()
         return color[: len(places)] / np.float32(255), np.asarray(clear[: len(places)] == 255)
-
-
-def pixel_rays(camera: Camera) -> np.ndarray:
-    """Return each pixel's ray direction [H,W,3] in the world frame, scaled to a camera z of 1."""
-    rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
-    local = np.stack([(columns - camera.K[0, 2]) / camera.K[0, 0], (rows - camera.K[1, 2]) / camera.K[1, 1]], axis=-1)
-    return np.asarray(np.concatenate([local, np.ones_like(local[..., :1])], axis=-1) @ camera.cam_from_world[:3, :3])

@@ -13,6 +13,7 @@ from mgsr.gaussians.surfels import SurfelModel
 from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.background import BackgroundSources, Window
 from mgsr.segmentation.random_walker import random_walker
+from mgsr.training.views import bounding_region
 
 # Colours are sRGB 0..1. A cost is a squared colour difference over twice a variance.
 NOISE = 0.02  # standard deviation of a photograph from its known background
@@ -77,9 +78,10 @@ def matte(
     object's hull, in pixels, positive inside; None while the hull is unknown.
     """
     found = Matte(np.zeros(region.shape, np.float32), np.zeros(region.shape, bool), np.zeros(region.shape, bool))
-    if not region.any():
+    bounds = bounding_region(region, MARGIN)
+    if bounds is None:
         return found
-    window = _window(region)
+    window = slice(*bounds[:2]), slice(*bounds[2:])
     inside = region[window]
     background = sources.expected(camera, window, inside)
     known, part = background.known, image[window] / np.float32(255)
@@ -101,13 +103,6 @@ def matte(
 
 def _cost(difference: np.ndarray, variance: np.ndarray | float) -> np.ndarray:
     return np.asarray(np.minimum((difference**2).sum(axis=-1) / (2 * variance), MOST))
-
-
-def _window(region: np.ndarray) -> Window:
-    rows, columns = np.nonzero(region)
-    spans = ((rows.min(), rows.max()), (columns.min(), columns.max()))
-    first, second = (slice(max(0, low - MARGIN), high + MARGIN + 1) for low, high in spans)
-    return first, second
 
 
 def _object_colors(surfels: SurfelModel, camera: Camera, window: Window) -> tuple[np.ndarray, np.ndarray]:

@@ -29,7 +29,7 @@ def random_walker(
         return share
     numbers = np.full(region.shape, count)
     numbers[region] = np.arange(count)
-    first, second, weight = (np.concatenate(each) for each in zip(*_edges(image, numbers), strict=True))
+    first, second, weight = (np.concatenate(each) for each in zip(*_edges(image, numbers, count), strict=True))
     pairs = np.concatenate([first, second]), np.concatenate([second, first])
     degree = np.bincount(pairs[0], np.concatenate([weight, weight]), count + 1)[:count]
     inner = (first < count) & (second < count)
@@ -43,14 +43,14 @@ def random_walker(
     return share
 
 
-def _edges(image: np.ndarray, numbers: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _edges(image: np.ndarray, numbers: np.ndarray, outside: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return the edges between neighbours, for each offset of STEPS: both pixels' numbers [E], and weights [E].
 
-    image [h,w,3] sRGB 0..1. numbers [h,w]: each pixel's number in the region; the largest one marks those outside.
+    image [h,w,3] sRGB 0..1. numbers [h,w]: each pixel's number in the region, which is below
+    `outside`; `outside` elsewhere. Edges between two pixels outside are left out.
     """
     found = []
     height, width = numbers.shape
-    outside = int(numbers.max())
     for down, right, distance in STEPS:
         one = slice(0, height - down), slice(max(0, -right), width - max(0, right))
         other = slice(down, height), slice(max(0, right), width + min(0, right))

@@ -13,8 +13,9 @@ from mgsr.data.hull import hull_surface
 from mgsr.gaussians.start import SH_CONSTANT
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.raycast import pixel_rays
 from mgsr.renderers.surfels import render_surfels
-from mgsr.segmentation.background import BackgroundSources, pixel_rays
+from mgsr.segmentation.background import BackgroundSources
 from mgsr.segmentation.consensus import silhouette, tolerant_hull
 from mgsr.segmentation.random_walker import CONTRAST, SMOOTHNESS, random_walker
 from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels

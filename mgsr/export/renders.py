@@ -1,7 +1,8 @@
 """Rendered views as image files.
 
 Per view: `<name>.png`, `<name>_transmitted.png` and, where a flash is known, `<name>_even.png`, the transmitted colour
-under even light, 8-bit RGBA with straight alpha; `<name>_reflected.png`, 8-bit RGB; `<name>_weight.png`, 8-bit grey,
+under even light, 8-bit RGBA with straight alpha; where an object was found, `<name>_whole.png`, the object before its
+background, 8-bit RGB; `<name>_reflected.png`, 8-bit RGB; `<name>_weight.png`, 8-bit grey,
 255 is 1; `<name>_depth.png`, 16-bit grey, 0 where nothing is, else camera z in the user's unit after multiplication
 with the number in the file's text field `depth_scale`; `<name>_normal.png`, 8-bit RGBA, world normal n as
 255 (n + 1) / 2 with straight alpha.
@@ -24,7 +25,7 @@ class RenderedView:
 
     color, transmitted and unlit [H,W,3]: sRGB 0..1, not premultiplied (`straight_color`). alpha [H,W] 0..1. reflected
     [H,W,3] sRGB. weight [H,W] 0..1. depth [H,W]: camera z in the user's unit, 0 where nothing is. normal [H,W,3]: world
-    frame, of any length.
+    frame, of any length. whole [H,W,3]: sRGB, before the background of a found object.
     """
 
     color: np.ndarray
@@ -35,6 +36,7 @@ class RenderedView:
     depth: np.ndarray | None = None
     normal: np.ndarray | None = None
     unlit: np.ndarray | None = None
+    whole: np.ndarray | None = None
 
 
 def straight_color(on_black: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -62,6 +64,8 @@ def write_view(folder: Path, name: str, view: RenderedView) -> list[Path]:
     for suffix, color in (("_transmitted", view.transmitted), ("_even", view.unlit)):
         if color is not None:
             images[suffix] = _rgba(color, view.alpha)
+    if view.whole is not None:
+        images["_whole"] = _bytes(view.whole)
     if view.reflected is not None:
         images["_reflected"] = _bytes(view.reflected)
     if view.weight is not None:

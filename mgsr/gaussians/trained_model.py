@@ -22,12 +22,14 @@ Splats = TypeVar("Splats", SurfelModel, GaussianModel)
 class TrainedModel:
     """The trained branches, at least one, and the environment map, all in one frame.
 
-    A branch is None where the method lacks it, and the environment map where it is not used.
+    A branch is None where the method lacks it, and the environment map where it is not used. background: surfels of
+    what lies around a found object; None where no object was looked for or found.
     """
 
     surfels: SurfelModel | None
     gaussians: GaussianModel | None
     environment_map: EnvironmentMap | None = None
+    background: SurfelModel | None = None
 
     def to(self, device: torch.device) -> TrainedModel:
         """Return the same model on a device."""
@@ -35,6 +37,7 @@ class TrainedModel:
             None if self.surfels is None else self.surfels.to(device),
             None if self.gaussians is None else self.gaussians.to(device),
             None if self.environment_map is None else self.environment_map.to(device),
+            None if self.background is None else self.background.to(device),
         )
 
     def to_scene(self, user_from_scene: Similarity) -> TrainedModel:
@@ -47,6 +50,7 @@ class TrainedModel:
             None if self.surfels is None else _to_scene(self.surfels, user_from_scene),
             None if self.gaussians is None else _to_scene(self.gaussians, user_from_scene),
             reflected,
+            None if self.background is None else _to_scene(self.background, user_from_scene),
         )
 
     def for_gaussians(self) -> TrainedModel:
@@ -60,6 +64,7 @@ class TrainedModel:
             None if self.surfels is None else self.surfels.detached(),
             None if self.gaussians is None else self.gaussians.detached(),
             None if self.environment_map is None else self.environment_map.detached(),
+            None if self.background is None else self.background.detached(),
         )
 
     @property

@@ -12,7 +12,7 @@ from mgsr.data.images import read_image
 from mgsr.data.scene import Scene, View
 from mgsr.export.renders import straight_color
 from mgsr.mesh.surface import ReconstructedMesh
-from mgsr.metrics.image import image_metrics
+from mgsr.metrics.image import image_metrics, psnr
 from mgsr.metrics.split import SplitScore, mean_split, split_score
 from mgsr.metrics.surface import normal_metrics, surface_metrics
 from mgsr.metrics.truth import TrueSurface, load_truth
@@ -26,14 +26,15 @@ def image_scores(rendered: Sequence[ViewImages], scene: Scene, background: Color
     """Score the test renders against the photographs, over all pixels that the photographs show.
 
     psnr_test and ssim_test are on the background, None without test views. psnr_fg_test and psnr_fg_gain_test are
-    present where there are masks. views: each view's values. split is present where the scene has matte test views.
+    present where there are masks. psnr_whole_test is present where renders have a background; it compares them with the
+    whole photographs. views: each view's values. split is present where the scene has matte test views.
     """
     views = {
-        image.name: image_metrics(photograph(view), rendering(image), view.valid_mask, background)
+        image.name: image_metrics(photograph(view), rendering(image), view.valid_mask, background) | _whole(image, view)
         for image, view in zip(rendered, scene.test, strict=True)
     }
     scores: dict[str, Any] = {"psnr_test": _mean(views, "psnr"), "ssim_test": _mean(views, "ssim")}
-    for name in ("psnr_fg", "psnr_fg_gain"):
+    for name in ("psnr_fg", "psnr_fg_gain", "psnr_whole"):
         if (value := _mean(views, name)) is not None:
             scores[f"{name}_test"] = value
     split = _split(rendered, scene)
@@ -65,6 +66,13 @@ def photograph(view: View) -> np.ndarray:
 def rendering(image: ViewImages) -> np.ndarray:
     """Return an image as float32 [H,W,4] with straight alpha."""
     return np.dstack([straight_color(image.color, image.alpha), np.clip(image.alpha, 0, 1)])
+
+
+def _whole(image: ViewImages, view: View) -> dict[str, float]:
+    """Score a render with its background against the whole photograph; empty without a background."""
+    if image.whole is None:
+        return {}
+    return {"psnr_whole": psnr(view.image / 255, np.clip(image.whole, 0, 1), view.valid_mask)}
 
 
 def _split(rendered: Sequence[ViewImages], scene: Scene) -> dict[str, float] | None:

@@ -26,7 +26,8 @@ class Rendering:
     With a light split, color is transmitted + weight * reflected, then divided by alpha. transmitted [H,W,3], straight,
     has no gloss; reflected [H,W,3] is sRGB, weight [H,W] 0..1. All three are None without a light split.
     unlit [H,W,3]: the transmitted colour, or the only one, under even light; None where no flash is known. With a
-    flash, the other colours show the scene under a flash on this camera.
+    flash, the other colours show the scene under a flash on this camera. whole [H,W,3]: sRGB, the object before its
+    background; None where no object was found.
     """
 
     color: np.ndarray
@@ -37,6 +38,7 @@ class Rendering:
     reflected: np.ndarray | None = None
     weight: np.ndarray | None = None
     unlit: np.ndarray | None = None
+    whole: np.ndarray | None = None
 
 
 def render(result: Reconstruction, camera: Camera | View) -> Rendering:
@@ -74,6 +76,7 @@ def render(result: Reconstruction, camera: Camera | View) -> Rendering:
         reflected=shown.reflected,
         weight=shown.weight,
         unlit=_float32(shown.unlit),
+        whole=None if shown.whole is None else np.clip(shown.whole, 0, 1),
     )
 
 

@@ -15,7 +15,7 @@ from mgsr.data.scene import Scene, View
 from mgsr.errors import ConfigError, MgsrError
 from mgsr.export.scenes import write_image
 from mgsr.pipeline.atomic_write import atomic_write
-from mgsr.pipeline.result_paths import MASKS, OBJECT
+from mgsr.pipeline.result_paths import BACKGROUND, MASKS, OBJECT
 from mgsr.segmentation.object_masks import FoundObject
 
 
@@ -50,6 +50,7 @@ def require_place_for_masks(out: Path) -> None:
 
 def clear_object(out: Path) -> None:
     """Remove an earlier run's files of an object; masks that are no run's stay."""
+    (out / BACKGROUND).unlink(missing_ok=True)
     if (out / OBJECT).is_file():
         shutil.rmtree(out / MASKS, ignore_errors=True)
         (out / OBJECT).unlink()
@@ -66,6 +67,13 @@ def with_found_object(out: Path, scene: Scene) -> Scene:
     plane = json.loads((out / OBJECT).read_text()).get("ground")
     ground = None if plane is None else np.array(plane)
     return with_object(scene, masks[: len(scene.train)], masks[len(scene.train) :], ground)
+
+
+def mask_agreement(out: Path) -> dict[str, float]:
+    """Return how well each mask agrees with the others, 0..1, by the training view's name; empty without an object."""
+    if not (out / OBJECT).is_file():
+        return {}
+    return dict(json.loads((out / OBJECT).read_text())["agreement"])
 
 
 def _names(scene: Scene) -> Iterator[tuple[View, str]]:

@@ -23,9 +23,10 @@ from mgsr.pipeline.progress import Event
 from mgsr.pipeline.run_metadata import scene_line
 from mgsr.pipeline.steps import Steps
 from mgsr.pipeline.time_budget import most_points, searches_object
-from mgsr.segmentation.object_masks import NoObject, find_object
+from mgsr.segmentation.object_masks import FoundObject, NoObject, find_object
 from mgsr.shading.lighting import Lighting, lit_scene
 from mgsr.start.starting_points import StartingPoints, starting_points
+from mgsr.training.background import train_background
 from mgsr.training.exposure import find_exposures
 from mgsr.training.outlines import learned_outlines
 
@@ -138,7 +139,7 @@ def _object_alone(
 
     points: chooses the starting points during a step.
     """
-    text, anew = "looking for the object", "choosing starting points anew"
+    text = "looking for the object"
     box = object_box(config.data.object_box)
     if box is not None:
         box = scene.user_from_scene.to_scene(box)
@@ -146,17 +147,24 @@ def _object_alone(
         found = find_object(scene, start, config.seed, box, step.should_stop, step.share("object", text))
         if isinstance(found, NoObject):
             note = f"no object is reconstructed alone, but all that is seen: {found.reason}"
-            step.progress(Event("object", note))
-            scene = replace(scene, notes=(*scene.notes, note))
-            return scene, start if scene.exposures is None else points(scene, "object", anew)
-        write_object(out, scene, found)
-        known = len(scene.notes)
-        scene = with_object(scene, found.train, found.test, ground_of(scene, found))
-        note = f"the object was found: its masks in the photographs agree to {found.agreement.mean():.0%}"
-        for each in (note, *scene.notes[known:]):
+        else:
+            note = f"the object was found: its masks in the photographs agree to {found.agreement.mean():.0%}"
+            write_object(out, scene, found)
+        step.progress(Event("object", note))
+    whole, scene = scene, replace(scene, notes=(*scene.notes, note))
+    if isinstance(found, FoundObject):
+        text = "training what lies around the object"
+        with step("background", text):
+            told = step.share("background", text)
+            background = train_background(whole, found.train, start, config, step.should_stop, told)
+            result_files.write_background(out, background, whole, config.output)
+        scene = with_object(scene, found.train, found.test, ground_of(whole, found))
+        for each in scene.notes[len(whole.notes) + 1 :]:
             step.progress(Event("object", each))
-        scene = replace(scene, notes=(*scene.notes, note))
-        return scene, points(scene, "object", anew)
+    elif scene.exposures is None:
+        return scene, start
+    with step("object", "choosing starting points anew"):
+        return scene, points(scene, "object", "choosing starting points anew")
 
 
 def _as_lit(scene: Scene, lighting: Lighting | None, config: Config, out: Path, step: Steps) -> Scene:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from mgsr.config import Config, MeshColor, SurfaceDepth
-from mgsr.data.backdrop import Color
+from mgsr.data.backdrop import WHITE, Color
 from mgsr.data.camera import Camera
 from mgsr.data.images import to_uint8
 from mgsr.data.masks import leave_borders_free, with_masks
@@ -37,7 +37,7 @@ class ViewImages:
     color [H,W,3]; alpha [H,W]; depth [H,W] camera z in the scene's unit, 0 where nothing is; normal [H,W,3] world
     frame, towards the camera, as long as alpha; transmitted [H,W,3], reflected [H,W,3] and weight [H,W], None without
     a light split; unlit [H,W,3]: the transmitted colour, or the only one, under even light, None where no flash is
-    valid.
+    valid. whole [H,W,3]: the colour before the background, None where no object was found.
     """
 
     name: str
@@ -50,6 +50,7 @@ class ViewImages:
     reflected: np.ndarray | None = None
     weight: np.ndarray | None = None
     unlit: np.ndarray | None = None
+    whole: np.ndarray | None = None
 
 
 def render_views(model: TrainedModel, views: Sequence[View], config: Config) -> Iterator[ViewImages]:
@@ -70,6 +71,17 @@ def render_camera(
     depth: which of the 2D branch's depths is the surface; shading [H,W] uint8: the flash's shading of the view (see
     `View`).
     """
+    images = _render_object(model, camera, depth, shading, name)
+    if model.background is None:
+        return images
+    behind = _numpy(render_surfels(model.background, camera, torch.tensor(WHITE, device=model.device)).color)
+    return replace(images, whole=images.color + (1 - images.alpha[..., None]) * behind)
+
+
+def _render_object(
+    model: TrainedModel, camera: Camera, depth: SurfaceDepth, shading: np.ndarray | None, name: str
+) -> ViewImages:
+    """Render the branches, without a background; the arguments are those of `render_camera`."""
     light = None if shading is None else torch.from_numpy(shading).to(model.device) / 255
     flat, full = _see(model, camera, depth=True, shading=light)
     images = _surface(flat, full, camera, depth)

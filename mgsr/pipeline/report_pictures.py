@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,15 +18,19 @@ from mgsr.pipeline.rendering import ViewImages
 from mgsr.report.environment_map import environment_map_pictures
 from mgsr.report.html import MOST_VIEWS
 from mgsr.report.pictures import (
+    Picture,
     ReportPictures,
     SurfacePictures,
     TestViewPictures,
     color_picture,
     depth_picture,
+    mask_picture,
     normal_picture,
     premultiplied_picture,
 )
 from mgsr.report.shading import MeshPainter, PaintedMesh, surface_pictures, up_direction
+
+MASKS = 6  # photographs that show a found object's masks
 
 
 @dataclass(frozen=True)
@@ -58,21 +62,36 @@ def report_pictures(
     scene: Scene,
     environment_map: EnvironmentMap | None,
     background: Color,
+    agreement: Mapping[str, float],
 ) -> ReportPictures:
-    """Collect the pictures of the report: the first test views, the surface, and the environment map that it reflects.
+    """Collect the pictures of the report.
 
-    psnr: of the test views, dB; background: the colour behind views without masks.
+    They show the first test views, the surface, the environment map that it reflects, and a found object's masks.
+
+    psnr: of the test views, dB. background: the colour behind views without masks. agreement: of a found object's
+    masks, by the training view's name; empty where no object was found.
     """
     views = [
         _view_pictures(images, view, value, shaded, background)
         for images, view, value, shaded in zip(rendered, scene.test, psnr, drawn.views, strict=False)
     ]
     maps = () if environment_map is None else environment_map_pictures(environment_map, _up(scene))
-    return ReportPictures(views, maps, drawn.sides)
+    return ReportPictures(views, maps, drawn.sides, _mask_pictures(scene.train, agreement))
 
 
 def _up(scene: Scene) -> np.ndarray:
     return up_direction([view.camera for view in scene.train])
+
+
+def _mask_pictures(views: Sequence[View], agreement: Mapping[str, float]) -> list[Picture]:
+    """Draw MASKS of the masks, from the one that agrees least with the others to the one that agrees most."""
+    known = sorted((agreement[view.name], index) for index, view in enumerate(views) if view.name in agreement)
+    chosen = {round(place): known[round(place)] for place in np.linspace(0, len(known) - 1, MASKS)} if known else {}
+    return [
+        Picture(f"{views[index].name}, {value:.0%}", mask_picture(views[index].image, alpha))
+        for value, index in chosen.values()
+        if (alpha := views[index].alpha) is not None
+    ]
 
 
 def _shown(view: View) -> np.ndarray:
@@ -108,4 +127,5 @@ def _view_pictures(
         shaded,
         psnr,
         None if images.unlit is None else light(images.unlit),
+        None if images.whole is None else color_picture(images.whole),
     )

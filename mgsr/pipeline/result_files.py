@@ -34,6 +34,7 @@ from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.atomic_write import atomic_write
 from mgsr.pipeline.rendering import ViewImages
 from mgsr.pipeline.result_paths import (
+    BACKGROUND,
     ENVIRONMENT_MAP,
     EXPOSURES,
     FLASH,
@@ -129,16 +130,11 @@ def write_models(out: Path, model: TrainedModel, scene: Scene, output: OutputCon
     For a missing branch or map, an earlier run's file is removed. Splats are in the output's unit, relative to the
     frame's origin or to one near the scene (see `origin_of_frame`).
     """
-    origin = origin_of_frame(scene.user_from_scene, output.scale)
-    file_from_scene = about_origin(scene.user_from_scene, output.scale, origin)
     for name, splats in ((SURFELS, model.surfels), (GAUSSIANS, model.gaussians)):
         if splats is None:
             (out / name).unlink(missing_ok=True)
-            continue
-        arrays = {key: tensor.numpy() for key, tensor in splats.parameters().items()}
-        with atomic_write(out / name) as path:
-            low_pass = splats.low_pass if isinstance(splats, GaussianModel) else None
-            write_splats(path, arrays, file_from_scene, output.scale, low_pass, origin)
+        else:
+            _write_model(out / name, splats, scene, output)
     if model.environment_map is None:
         (out / ENVIRONMENT_MAP).unlink(missing_ok=True)
         return
@@ -146,22 +142,41 @@ def write_models(out: Path, model: TrainedModel, scene: Scene, output: OutputCon
         write_environment_map(path, _stored(model.environment_map, scene), origin_of_frame(scene.user_from_scene))
 
 
-def read_models(out: Path, user_from_scene: Similarity) -> TrainedModel:
-    """Read the branches that a run left in `out`, in the scene's frame.
+def write_background(out: Path, model: SurfelModel, scene: Scene, output: OutputConfig) -> None:
+    """Write the surfels of what lies around a found object, as `write_models` writes the branches."""
+    _write_model(out / BACKGROUND, model, scene, output)
 
-    Raises MgsrError where there are none.
+
+def read_background(out: Path, user_from_scene: Similarity) -> SurfelModel | None:
+    """Read the surfels of what lies around a found object, in the scene's frame; None where the run left none."""
+    return SurfelModel(**_read_tensors(out / BACKGROUND, user_from_scene)) if (out / BACKGROUND).exists() else None
+
+
+def _write_model(to: Path, splats: SurfelModel | GaussianModel, scene: Scene, output: OutputConfig) -> None:
+    origin = origin_of_frame(scene.user_from_scene, output.scale)
+    file_from_scene = about_origin(scene.user_from_scene, output.scale, origin)
+    arrays = {key: tensor.numpy() for key, tensor in splats.parameters().items()}
+    with atomic_write(to) as path:
+        low_pass = splats.low_pass if isinstance(splats, GaussianModel) else None
+        write_splats(path, arrays, file_from_scene, output.scale, low_pass, origin)
+
+
+def read_models(out: Path, user_from_scene: Similarity) -> TrainedModel:
+    """Read the branches that a run left in `out`, and what lies around a found object, in the scene's frame.
+
+    Raises MgsrError where there are no branches.
     """
-    found = {name: _read_tensors(out / name, user_from_scene) for name in (SURFELS, GAUSSIANS) if (out / name).exists()}
-    if not found:
+    if not any((out / name).exists() for name in (SURFELS, GAUSSIANS)):
         raise MgsrError(f"{out}: neither {SURFELS} nor {GAUSSIANS} is there; run `mgsr train SCENE -o {out}` first")
-    surfels = SurfelModel(**found[SURFELS]) if SURFELS in found else None
+    surfels = SurfelModel(**_read_tensors(out / SURFELS, user_from_scene)) if (out / SURFELS).exists() else None
     gaussians = None
-    if GAUSSIANS in found:
-        gaussians = GaussianModel(**found[GAUSSIANS], low_pass=read_number(out / GAUSSIANS, LOW_PASS))
+    if (out / GAUSSIANS).exists():
+        tensors = _read_tensors(out / GAUSSIANS, user_from_scene)
+        gaussians = GaussianModel(**tensors, low_pass=read_number(out / GAUSSIANS, LOW_PASS))
     environment_map = (
         _read_environment_map(out / ENVIRONMENT_MAP, user_from_scene) if (out / ENVIRONMENT_MAP).exists() else None
     )
-    return TrainedModel(surfels, gaussians, environment_map)
+    return TrainedModel(surfels, gaussians, environment_map, read_background(out, user_from_scene))
 
 
 def _stored(environment_map: EnvironmentMap, scene: Scene) -> StoredEnvironmentMap:
@@ -253,7 +268,7 @@ def straight_view(view: ViewImages, unit: float) -> RenderedView:
     )
     color = straight_color(view.color, view.alpha)
     light = (transmitted, view.reflected, view.weight)
-    return RenderedView(color, view.alpha, *light, view.depth * unit, view.normal, unlit)
+    return RenderedView(color, view.alpha, *light, view.depth * unit, view.normal, unlit, view.whole)
 
 
 def read_report(out: Path) -> ReportData:

@@ -11,6 +11,7 @@ MESH_OBJ = "mesh.obj"
 MESH_TEXTURED = "mesh_textured.glb"
 SURFELS = "splats_2d.ply"
 GAUSSIANS = "splats_3d.ply"
+BACKGROUND = "splats_background.ply"
 ENVIRONMENT_MAP = "mirrored_light.npz"
 FLASH = "flash.npz"
 EXPOSURES = "exposures.json"
@@ -59,6 +60,11 @@ class ResultPaths:
     def gaussians(self) -> Path:
         """splats_3d.ply, the 3D branch."""
         return self.folder / GAUSSIANS
+
+    @property
+    def background(self) -> Path:
+        """splats_background.ply, what lies around a found object."""
+        return self.folder / BACKGROUND
 
     @property
     def environment_map(self) -> Path:

@@ -20,6 +20,7 @@ from mgsr.pipeline import result_files
 from mgsr.pipeline.device import Device, pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
 from mgsr.pipeline.meshing import make_mesh
+from mgsr.pipeline.object_files import mask_agreement
 from mgsr.pipeline.preprocess import as_read, preprocess, take_scene
 from mgsr.pipeline.progress import Event, EventCallback, ignore
 from mgsr.pipeline.rendering import render_views
@@ -115,8 +116,9 @@ class _Run:
     budget: TimeBudget | None = None
 
     def model(self, trained: TrainResult) -> TrainedModel:
-        """Return the trained model on the device."""
-        return trained.model.to(self.device.torch)
+        """Return the trained model on the device, with the background of a found object."""
+        background = result_files.read_background(self.out, self.scene.user_from_scene)
+        return replace(trained.model, background=background).to(self.device.torch)
 
 
 @dataclass(frozen=True)
@@ -160,7 +162,8 @@ def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
         scores = scores | image_scores(rendered, scene, behind)
     with run.step("report", "writing the report"):
         psnr = [view["psnr"] for view in scores["views"].values()]
-        pictures = report_pictures(rendered, psnr, surface.drawn, scene, trained.model.environment_map, behind)
+        maps, agreement = trained.model.environment_map, mask_agreement(run.out)
+        pictures = report_pictures(rendered, psnr, surface.drawn, scene, maps, behind, agreement)
     budget = None if run.budget is None else budget_report(run.budget, clock.steps)
     report = run_report(scene, run.start, run.config, run.device, trained, surface.mesh, scores, clock, budget)
     result_files.write_reports(run.out, report, pictures)

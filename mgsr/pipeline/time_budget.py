@@ -83,7 +83,9 @@ def planned_config(
     clock: gives the time of the starting points. Raises the errors of training.
     """
     facts = replace(facts_of(scene, config, start), searched="object" in clock.steps)
-    budget.learn(start_cost(facts), sum(clock.steps.get(name, 0.0) for name in ("start", "outlines", "object")))
+    budget.learn(
+        start_cost(facts), sum(clock.steps.get(name, 0.0) for name in ("start", "outlines", "object", "background"))
+    )
     if budget.place is None:
         probed = probe(scene, start, config, device.torch)
         budget.choose_place(facts, probed.seconds, probed.splats)

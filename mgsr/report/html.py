@@ -19,13 +19,15 @@ from mgsr.report.style import CSS, SCRIPT
 
 HERO_SIDE, TILE_SIDE = 512, 320  # longest sides in pixels: a report stays small enough to send
 MOST_VIEWS = 8
-COLUMNS = {1: "two", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "four", 8: "four"}
+COLUMNS = {1: "two", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "four", 8: "four", 9: "five"}
 STEPS = (
     "total",
     "load",
     "outlines",
     "start",
     "exposures",
+    "object",
+    "background",
     "plan",
     "train",
     "export",
@@ -48,6 +50,7 @@ def report_page(data: ReportData, pictures: ReportPictures) -> str:
     """Return the page as text."""
     title = escape(data.scene)
     sections = (
+        _object_masks(pictures.masks),
         _light_split(pictures.views),
         _environment_map(pictures.environment_maps),
         _surface(data, pictures.surface),
@@ -90,6 +93,7 @@ def _view_row(view: TestViewPictures, side: int, extra: str = "") -> str:
     named = (
         ("photograph", view.photo),
         ("render", view.render),
+        ("render with its background", view.whole),
         ("transmitted light", view.transmitted),
         ("weight × reflected light", view.reflected),
         ("even light, no flash", view.unlit),
@@ -157,6 +161,19 @@ def _light_split(views: Sequence[TestViewPictures]) -> str:
         '<input id="fade" data-fade="reflected" type="range" min="0" max="100" value="100">'
         '<p class="note">All the way left: only the object’s own colour. All the way right: the full render.</p>'
         "</div></div></section>"
+    )
+
+
+def _object_masks(pictures: Sequence[Picture]) -> str:
+    if not pictures:
+        return ""
+    tiles = (_tile(f"Mask of {each.caption}", each.caption, each.pixels, TILE_SIDE) for each in pictures)
+    return (
+        "<section><h2>The object that was found</h2><p>The capture has no masks, so MGSR found the object itself. Grey "
+        "is what it left out. The figure under a photograph says how well its mask agrees with the other "
+        "photographs&rsquo; masks; the photographs range from the worst to the best. To correct a mask, edit its file "
+        "in <code>masks/</code>, put the folder beside the photographs, and run again.</p>"
+        f'<div class="row three">{"".join(tiles)}</div></section>'
     )
 
 

@@ -23,7 +23,8 @@ class TestViewPictures:
     Each is uint8 [H,W,3] or, with straight alpha, [H,W,4]; None where the method has none.
 
     reflected is the weighted reflected light, weight x reflected, over black: added to transmitted it gives render.
-    unlit: the transmitted light as it would be without the flash, all sides lit alike.
+    unlit: the transmitted light as it would be without the flash, all sides lit alike. whole: the render before the
+    background of a found object.
     """
 
     name: str
@@ -36,6 +37,7 @@ class TestViewPictures:
     mesh: np.ndarray | None = None
     psnr: float | None = None
     unlit: np.ndarray | None = None
+    whole: np.ndarray | None = None
 
     # The name begins with "Test", but this is no test case.
     __test__ = False
@@ -67,12 +69,21 @@ class SurfacePictures:
 class ReportPictures:
     """All pictures of a report; the first view is the one at the top.
 
-    environment_maps: the learned maps that the surface reflects, if any.
+    environment_maps: the learned maps that the surface reflects, if any. masks: photographs that are dimmed outside the
+    found object's mask, if any.
     """
 
     views: Sequence[TestViewPictures] = ()
     environment_maps: Sequence[Picture] = ()
     surface: SurfacePictures = field(default_factory=SurfacePictures)
+    masks: Sequence[Picture] = ()
+
+
+def mask_picture(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Return a photograph [H,W,3] uint8 that is dimmed and grey outside a mask [H,W] uint8."""
+    inside = alpha[..., None] / 255.0
+    grey = 0.35 * image.mean(axis=-1, keepdims=True)
+    return np.asarray((inside * image + (1 - inside) * grey).round().astype(np.uint8))
 
 
 def color_picture(color: np.ndarray, alpha: np.ndarray | None = None) -> np.ndarray:

@@ -38,6 +38,14 @@ IMAGE = (
         "dB",
         "The same, counting only pixels of the object: an empty background can't flatter it.",
     ),
+    Score(
+        "psnr_whole_test",
+        "PSNR with the background",
+        1,
+        2,
+        "dB",
+        "The same for the whole photographs: the object before the background, which has splats of its own.",
+    ),
     Score("ssim_test", "SSIM", 1, 4, "", "How alike the local structure of renders and photographs is; 1 is the same."),
 )
 SURFACE = (

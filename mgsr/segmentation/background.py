@@ -3,6 +3,9 @@
 Each pixel's ray ends on the support plane or on the background's surfels. The result is the median of the colours that
 the nearest other cameras see at that place. It includes the object's shadow on the plane, which is the same in all
 photographs.
+
+A place that no other photograph certainly shows as background lies under the object or between its parts. There,
+photo-consistency tells both apart: the other photographs are compared at the background point and at points above it.
 """
 
 from __future__ import annotations
@@ -22,6 +25,8 @@ from mgsr.segmentation.support_plane import SupportPlane
 NEAREST = 24  # other cameras to sample, the most similar viewing directions first
 SAMPLES = 9  # colours to collect for a pixel
 LEAST_SAMPLES = 2  # with fewer, the background counts as unknown
+AGREEING = 2  # photographs that must show a colour at a place before it is photo-consistent
+ABOVE = (0.05, 0.1, 0.2, 0.4)  # ball radii; heights above the support plane at which a pixel's ray is tested
 COVERED = 0.3  # rendered opacity above which surfels form a surface
 PLANE_RADIUS = 4.0  # ball radii around the scene's centre within which the support plane is visible
 PLANE_FIRST = 1.05  # times the surfels' depth; the plane wins if its depth is less than this
@@ -38,11 +43,17 @@ class ExpectedBackground:
 
     color [h,w,3]: the median of the samples, sRGB 0..1. spread [h,w]: the median absolute deviation of the samples, in
     the channel that differs most. known [h,w] bool: whether there are LEAST_SAMPLES samples.
+
+    behind, above [h,w]: photo-consistency where the background is unknown, as a squared colour difference; infinite
+    elsewhere. It compares the photograph with the AGREEING-th most similar one, whatever that shows there: `behind` at
+    the background point, `above` at the best of the points above the support plane on the same ray.
     """
 
     color: np.ndarray
     spread: np.ndarray
     known: np.ndarray
+    behind: np.ndarray
+    above: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -59,16 +70,38 @@ class BackgroundSources:
     surfels: SurfelModel
     plane: SupportPlane | None
 
-    def expected(self, camera: Camera, window: Window, asked: np.ndarray) -> ExpectedBackground:
+    def expected(self, image: np.ndarray, camera: Camera, window: Window, asked: np.ndarray) -> ExpectedBackground:
         """Render the background in a window of a camera's image, from the other photographs alone.
 
-        asked [h,w] bool: the pixels of the window to render. All others are returned as unknown.
+        image [H,W,3] uint8 sRGB: the camera's photograph, for the photo-consistency. asked [h,w] bool: the pixels of
+        the window to render. All others are returned as unknown.
         """
         places = self._places(camera, window)[asked]
+        median, spread, known = self._samples(camera, places)
+        own = image[window][asked][~known] / np.float32(255)
+        behind, above = self._consistency(camera, own, places[~known])
+        unknown = asked.copy()
+        unknown[asked] = ~known
+
+        def spread_out(values: np.ndarray, at: np.ndarray, other: float) -> np.ndarray:
+            image = np.full((*asked.shape, *values.shape[1:]), other, values.dtype)
+            image[at] = values
+            return image
+
+        return ExpectedBackground(
+            color=spread_out(median, asked, 0.0),
+            spread=spread_out(spread, asked, 1.0),
+            known=spread_out(known, asked, False),
+            behind=spread_out(behind, unknown, np.inf),
+            above=spread_out(above, unknown, np.inf),
+        )
+
+    def _samples(self, camera: Camera, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return median [P,3], spread [P] and known [P] of the background's colours at places [P,3]."""
         colors = np.full((SAMPLES, len(places), 3), np.inf, np.float32)
         count, left = np.zeros(len(places), int), np.arange(len(places))
         for index in self._order(camera):
-            color, clear = self._seen(index, places[left])
+            color, clear = self._seen(index, places[left], self.clear[index])
             shown = left[clear]
             colors[count[shown], shown] = color[clear]
             count[shown] += 1
@@ -81,11 +114,34 @@ class BackgroundSources:
         median[~known] = 0
         apart = np.where(np.isfinite(colors), np.abs(colors - median), np.inf).max(axis=-1)
         spread = np.take_along_axis(np.sort(apart, axis=0), middle, 0)[0]
-        found = ExpectedBackground(
-            np.zeros((*asked.shape, 3), np.float32), np.ones(asked.shape, np.float32), np.zeros(asked.shape, bool)
-        )
-        found.color[asked], found.spread[asked], found.known[asked] = median, np.where(known, spread, 1), known
-        return found
+        return median, np.where(known, spread, np.float32(1)), known
+
+    def _consistency(self, camera: Camera, own: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the photo-consistency [P] of colours [P,3], sRGB 0..1, at places [P,3] and above them.
+
+        See ExpectedBackground. Both are infinite without a support plane.
+        """
+        above = np.full(len(places), np.inf, np.float32)
+        if self.plane is None or not len(places):
+            return above, above
+        behind, low = self._difference(camera, own, places), self.plane.heights(places)
+        steps = (camera.center - places) / np.maximum(self.plane.heights(camera.center[None]) - low, 1e-6)[:, None]
+        for height in ABOVE:
+            raised = places + np.maximum(height - low, 0)[:, None] * steps
+            above = np.minimum(above, self._difference(camera, own, raised))
+        return behind, above
+
+    def _difference(self, camera: Camera, own: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Return the AGREEING-th smallest squared difference [P] of colours [P,3] from other photographs at places."""
+        smallest = np.full((AGREEING, len(places)), np.inf, np.float32)  # sorted, the least first
+        for index in self._order(camera):
+            color, inside = self._seen(index, places)
+            other = np.where(inside, ((color - own) ** 2).sum(axis=-1), np.inf).astype(np.float32)
+            for row in smallest:
+                larger = np.maximum(row, other)
+                np.minimum(row, other, out=row)
+                other = larger
+        return np.asarray(smallest[-1])
 
     def _order(self, camera: Camera) -> np.ndarray:
         """Return the indices [K] of the NEAREST other cameras, by their angle to the camera at the scene's centre."""
@@ -113,10 +169,11 @@ class BackgroundSources:
             depth = np.where(near & (plane < PLANE_FIRST * depth), plane, depth)
         return np.asarray(camera.center + rays * np.where(np.isfinite(depth), depth, FAR)[..., None])
 
-    def _seen(self, index: int, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _seen(self, index: int, places: np.ndarray, allowed: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Sample a photograph at points [P,3] of the scene.
 
-        Returns the colours [P,3] sRGB 0..1, and which of the points it shows as background, [P] bool.
+        allowed [H,W] uint8: 255 where the photograph may be sampled; None allows all of it. Returns the colours [P,3]
+        sRGB 0..1, and which of the points it shows in an allowed place, [P] bool.
         """
         import cv2  # late: training needs no OpenCV
 
@@ -126,6 +183,10 @@ class BackgroundSources:
         maps = np.full((-(-len(places) // COLUMNS) * COLUMNS, 2), -9, np.float32)
         maps[: len(places)] = pixels
         across, down = (maps[:, i].reshape(-1, COLUMNS) for i in (0, 1))
-        color = cv2.remap(self.images[index], across, down, cv2.INTER_LINEAR).reshape(-1, 3)
-        clear = cv2.remap(self.clear[index], across, down, cv2.INTER_LINEAR).ravel()
-        return color[: len(places)] / np.float32(255), np.asarray(clear[: len(places)] == 255)
+        color = cv2.remap(self.images[index], across, down, cv2.INTER_LINEAR).reshape(-1, 3)[: len(places)]
+        if allowed is None:
+            width, height = self.cameras[index].width, self.cameras[index].height
+            x, y = pixels.T
+            return color / np.float32(255), (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+        clear = cv2.remap(allowed, across, down, cv2.INTER_LINEAR).ravel()
+        return color / np.float32(255), np.asarray(clear[: len(places)] == 255)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy import ndimage
 from scipy.ndimage import gaussian_filter
 
 from mgsr.data.camera import Camera
@@ -18,7 +19,7 @@ from mgsr.training.views import bounding_region
 # Colours are sRGB 0..1. A cost is a squared colour difference over twice a variance.
 NOISE = 0.02  # standard deviation of a photograph from its known background
 SPREAD = 1.5  # times the spread of the background's samples, which adds to NOISE
-GUESSED = 0.06  # standard deviation where the background is extrapolated from its surroundings
+GUESSED = 0.06  # standard deviation where the background is extrapolated, or only photo-consistency tells
 RENDERED = 0.04  # standard deviation of a photograph from the object's rendered surfels
 MOST = 9.0  # upper limit of a cost
 STRONG = 4.0  # background cost above which a pixel certainly does not show the background
@@ -27,6 +28,7 @@ DEEP, INSIDE = 3.0, 6.0  # the cost of the label background farther inside, wher
 BESIDE, OUTSIDE = 3.0, 3.0  # the cost of the label object farther outside
 SEARCHED = 6.0  # pixels around the hull's silhouette in which the object may lie
 FIRST_SEARCHED = 0.12  # the same around the first mask, as a share of the square root of its area
+HOLE = 0.005  # area of a hole, as a share of the mask's, below which it is filled: highlights look like background
 MARGIN = 4  # pixels by which the processed window exceeds the region
 
 SCALES = (1, 2, 4, 8, 16)  # pixels; the Gaussians' deviations by which colours are extended, in turn
@@ -83,26 +85,43 @@ def matte(
         return found
     window = slice(*bounds[:2]), slice(*bounds[2:])
     inside = region[window]
-    background = sources.expected(camera, window, inside)
+    background = sources.expected(image, camera, window, inside)
     known, part = background.known, image[window] / np.float32(255)
     behind, _ = _extended(background.color, known.astype(np.float32))
     variance = np.where(known, NOISE**2 + (SPREAD * background.spread) ** 2, GUESSED**2)
     as_background = _cost(part - behind, variance)
     color, covered = _object_colors(surfels, camera, window)
     as_object = np.where(covered, _cost(part - color, RENDERED**2), MOST)
+    tested = np.isfinite(background.behind)
+    as_background = np.where(tested, _measured(background.behind), as_background)
+    as_object = np.where(tested, np.minimum(as_object, _measured(background.above)), as_object)
     # Where both costs are equal, the image's edges decide.
     towards = as_background - as_object
     for_object, for_background = np.maximum(towards, 0), np.maximum(-towards, 0)
     if silhouette is not None:
         for_object += INSIDE * ((silhouette[window] > DEEP) & known)
         for_background += OUTSIDE * (silhouette[window] < -BESIDE)
-    found.share[window] = random_walker(part, for_object, for_background, inside)
+    found.share[window] = without_small_holes(random_walker(part, for_object, for_background, inside))
     found.sure[window], found.told[window] = known & (as_background > STRONG), known
     return found
 
 
 def _cost(difference: np.ndarray, variance: np.ndarray | float) -> np.ndarray:
     return np.asarray(np.minimum((difference**2).sum(axis=-1) / (2 * variance), MOST))
+
+
+def _measured(squared: np.ndarray) -> np.ndarray:
+    """Return the costs [h,w] of squared colour differences [h,w]."""
+    return np.asarray(np.minimum(squared / (2 * GUESSED**2), MOST))
+
+
+def without_small_holes(share: np.ndarray) -> np.ndarray:
+    """Return the shares [h,w] with small holes of the object filled."""
+    mask = share > 0.5
+    holes, count = ndimage.label(ndimage.binary_fill_holes(mask) & ~mask)
+    small = np.bincount(holes.ravel(), minlength=count + 1) < HOLE * mask.sum()
+    small[0] = False
+    return np.where(small[holes], np.float32(1), share)
 
 
 def _object_colors(surfels: SurfelModel, camera: Camera, window: Window) -> tuple[np.ndarray, np.ndarray]:

@@ -229,8 +229,8 @@ class _Search:
         if self.silhouettes is not None:
             wide = [mask | (inside > -1) for mask, inside in zip(self.masks, self.silhouettes, strict=True)]
         blocked = [ndimage.binary_fill_holes(cv2.dilate(mask.astype(np.uint8), around) > 0) for mask in wide]
-        lifted, _ = lifted_labels(self._model, blocked, self._cameras)
-        behind = ~self.labels & (lifted < 0.5) & (self._first.heights > -BELOW * self._pixel)
+        lifted, _ = lifted_labels(self._model, [mask[..., None] for mask in blocked], self._cameras)
+        behind = ~self.labels & (lifted[:, 0] < 0.5) & (self._first.heights > -BELOW * self._pixel)
         surfels = some_surfels(self._model, behind)
         clear = [255 * (~mask).astype(np.uint8) for mask in blocked]
         if larger is None:
@@ -247,10 +247,8 @@ class _Search:
 
         found: the mattes of the small photographs.
         """
-        sure, told = (
-            lifted_labels(self._model, masks, self._cameras)[0]
-            for masks in ([each.sure for each in found], [each.told for each in found])
-        )
+        masks = [np.stack([each.sure, each.told], axis=-1) for each in found]
+        sure, told = lifted_labels(self._model, masks, self._cameras)[0].T
         return np.asarray((sure > SURE * told) & (told > TOLD))
 
 

@@ -39,25 +39,25 @@ def some_surfels(model: SurfelModel, chosen: np.ndarray) -> SurfelModel:
 def lifted_labels(
     model: SurfelModel, masks: Sequence[np.ndarray], cameras: Sequence[Camera]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lift masks to the surfels: return each surfel's label [N], 0..1, and the sum of its weights [N].
+    """Lift masks to the surfels: return each surfel's labels [N,K], 0..1, and the sum of its weights [N].
 
-    masks [H,W] bool or 0..1, one for each camera. A label is the mean of the masks over the pixels that the surfel
-    covers. A pixel's weight is the surfel's blending weight there.
+    masks [H,W,K] bool or 0..1, one for each camera, K of 1 or 2. A label is the mean of the masks over the pixels that
+    the surfel covers. A pixel's weight is the surfel's blending weight there.
 
     Source: the closed-form optimum of Shen and others 2024 (FlashSplat). Rendering is linear in the colours, so the
     blending weights are its derivatives.
     """
-    inside, whole = torch.zeros(len(model)), torch.zeros(len(model))
+    total = torch.zeros(len(model), 3)
     for mask, camera in zip(masks, cameras, strict=True):
         colors = torch.zeros(len(model), 1, 3, requires_grad=True)
         rendered = render_surfels(_labelled(model, colors), camera, torch.zeros(3), 0).color
         asked = torch.zeros_like(rendered)
-        asked[..., 0], asked[..., 1] = torch.from_numpy(mask.astype(np.float32)), 1.0
+        asked[..., : mask.shape[-1]], asked[..., 2] = torch.from_numpy(mask.astype(np.float32)), 1.0
         (rendered * asked).sum().backward()
         assert colors.grad is not None
-        inside += colors.grad[:, 0, 0] / SH_CONSTANT
-        whole += colors.grad[:, 0, 1] / SH_CONSTANT
-    return (inside / whole.clamp_min(1e-6)).numpy(), whole.numpy()
+        total += colors.grad[:, 0] / SH_CONSTANT
+    weights = total[:, 2]
+    return (total[:, : masks[0].shape[-1]] / weights.clamp_min(1e-6)[:, None]).numpy(), weights.numpy()
 
 
 def _labelled(model: SurfelModel, colors: Tensor) -> SurfelModel:

@@ -54,6 +54,22 @@ def test_the_object_alone_is_delivered(done: Path) -> None:
     assert report["input"]["masked"] and any("the object was found" in note for note in report["input"]["notes"])
 
 
+def test_renders_have_a_background(done: Path, capture: Path) -> None:
+    """Check the object before its background against the photograph; an empty background is off by 133 of 255."""
+    scene, (_, truth) = load_scene(capture), table_scene()
+    for view, mask in zip(scene.test, truth[len(scene.train) :], strict=True):
+        shown = np.array(Image.open(done / "renders" / "test" / f"{view.name}_whole.png")).astype(float)
+        apart = np.abs(shown - view.image).mean(axis=-1)
+        assert apart[~mask].mean() < 60 and apart[mask].mean() < 20
+    report = json.loads((done / "report.json").read_text())
+    assert report["psnr_whole_test"] == pytest.approx(np.mean([v["psnr_whole"] for v in report["views"].values()]))
+    assert "The object that was found" in (done / "report.html").read_text()
+    camera = scene.user_from_scene.camera_to_user(scene.test[0].camera)
+    again = mgsr.render(mgsr.load_result(done), camera).whole
+    written = np.array(Image.open(done / "renders" / "test" / f"{scene.test[0].name}_whole.png"))
+    assert again is not None and np.abs(255 * again - written).max() < 1.1
+
+
 def test_masks_and_box_are_written(done: Path, capture: Path) -> None:
     scene, (_, truth) = load_scene(capture), table_scene()
     for view, mask in zip(scene.train + scene.test, truth, strict=True):

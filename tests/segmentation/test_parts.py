@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy import ndimage
 
 from mgsr.data.camera import Camera
 from mgsr.data.hull import hull_surface
@@ -17,6 +18,7 @@ from mgsr.geometry.raycast import pixel_rays
 from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.background import BackgroundSources
 from mgsr.segmentation.consensus import silhouette, tolerant_hull
+from mgsr.segmentation.mattes import without_small_holes
 from mgsr.segmentation.random_walker import CONTRAST, SMOOTHNESS, random_walker
 from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane, upward
@@ -44,12 +46,12 @@ def cameras() -> list[Camera]:
 def test_lifted_labels_are_means_of_the_masks_weighted_by_the_surfels_shares() -> None:
     """Check the derivatives against renderings of one surfel's label after another."""
     model, seen = surfels(12), cameras()[:2]
-    masks = [np.random.default_rng(i).random((camera.height, camera.width)) for i, camera in enumerate(seen)]
+    masks = [np.random.default_rng(i).random((camera.height, camera.width, 2)) for i, camera in enumerate(seen)]
     labels, weights = lifted_labels(model, masks, seen)
     for index in range(len(model)):
         shares = [shares_of(model, index, camera) for camera in seen]
         whole = sum(float(share.sum()) for share in shares)
-        inside = sum(float((share * mask).sum()) for share, mask in zip(shares, masks, strict=True))
+        inside = sum((share[..., None] * mask).sum(axis=(0, 1)) for share, mask in zip(shares, masks, strict=True))
         assert weights[index] == pytest.approx(whole, rel=1e-3, abs=1e-3)
         if whole > 0.1:
             assert labels[index] == pytest.approx(inside / whole, abs=2e-3)
@@ -130,10 +132,44 @@ def test_the_background_behind_the_object_is_what_other_photographs_show() -> No
         rays, center = pixel_rays(seen[index]), seen[index].center
         places = center + (TABLE - center[2]) / np.minimum(rays[..., 2:], -1e-9) * rays
         asked = masks[index] & (rays[..., 2] < 0) & (np.linalg.norm(places[..., :2], axis=-1) < 1.7)
-        found = sources.expected(seen[index], (slice(None), slice(None)), asked)
+        found = sources.expected(scene.train[index].image, seen[index], (slice(None), slice(None)), asked)
         assert not (found.known & ~asked).any() and found.known[asked].mean() > 0.6
         wrong = np.abs(found.color - empty.train[index].image / 255).max(axis=-1)[found.known]
         assert np.median(wrong) < 0.03 and (wrong < 0.1).mean() > 0.9
+
+
+def test_photo_consistency_tells_table_from_object_where_no_photograph_is_clear() -> None:
+    scene, truth = table_scene(size=96)
+    seen = [view.camera for view in scene.train]
+    plane = SupportPlane(np.array([0.0, 0.0, 1.0]), -TABLE)
+    unclear = [np.zeros(view.image.shape[:2], np.uint8) for view in scene.train]
+    sources = BackgroundSources(seen, [view.image for view in scene.train], unclear, surfels(0), plane)
+    on_table, on_object = [], []
+    for index in range(0, len(seen), 4):
+        rays, center = pixel_rays(seen[index]), seen[index].center
+        places = center + (TABLE - center[2]) / np.minimum(rays[..., 2:], -1e-9) * rays
+        asked = (rays[..., 2] < 0) & (np.linalg.norm(places[..., :2], axis=-1) < 1.2)
+        found = sources.expected(scene.train[index].image, seen[index], (slice(None), slice(None)), asked)
+        assert not found.known.any() and np.isinf(found.behind[~asked]).all()
+        differs = np.where(
+            np.isfinite(found.above), found.behind - np.where(np.isfinite(found.above), found.above, 0), 0
+        )
+        asked &= np.isfinite(differs) & np.isfinite(found.above)
+        apart = ndimage.binary_erosion(truth[index], iterations=2), ndimage.binary_dilation(truth[index], iterations=2)
+        on_object.append(differs[asked & apart[0]])
+        on_table.append(differs[asked & ~apart[1]])
+    assert (np.concatenate(on_table) < 0.002).mean() > 0.95
+    assert (np.concatenate(on_object) > 0.002).mean() > 0.6
+
+
+def test_small_holes_of_a_matte_are_filled_and_large_ones_left() -> None:
+    share = np.zeros((60, 60), np.float32)
+    share[5:55, 5:55] = 0.9
+    share[10:12, 10:13] = 0.1  # a highlight, 6 of 2500 pixels
+    share[30:40, 30:40] = 0.1  # a handle's opening
+    filled = without_small_holes(share)
+    assert (filled[10:12, 10:13] == 1).all() and (filled[30:40, 30:40] == np.float32(0.1)).all()
+    assert (np.delete(filled, np.s_[10:12], axis=0) == np.delete(share, np.s_[10:12], axis=0)).all()
 
 
 def test_a_hull_that_some_masks_contradict_shows_what_they_leave_out() -> None:

@@ -1,0 +1,72 @@
+"""Surfels of what lies around a found object, so that its renders can be shown in the whole photograph.
+
+Surfels serve because a room is mostly planes: after the same time they show new views of it better than Gaussians do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from mgsr.config import Config, make_config
+from mgsr.data.scene import Scene, View
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.start.starting_points import StartingPoints
+from mgsr.training.run import Training
+
+BESIDE = 0.005  # share of the photograph's longer side around the masks that training ignores
+INSIDE = 0.9  # share of the views with a mask at a starting point above which the point is the object's
+
+
+def train_background(
+    scene: Scene,
+    masks: Sequence[np.ndarray],
+    start: StartingPoints,
+    config: Config,
+    should_stop: Callable[[], bool] = lambda: False,
+    progress: Callable[[float], None] = lambda done: None,
+) -> SurfelModel:
+    """Train a 2D branch on what the photographs show outside the object's masks.
+
+    scene: the whole scene, without masks. masks [H,W] uint8: the object's in the training views. start: points of the
+    whole scene; those on the object are left out. config: of the run, whose warm-up gives the iterations. progress:
+    receives the share of the work that is done, 0..1. The surfels lie in the scene's frame.
+
+    Raises Cancelled once should_stop returns True, and TrainingError if training fails.
+    """
+    views = [_without_object(view, mask) for view, mask in zip(scene.train, masks, strict=True)]
+    outside = ~_on_object(start.positions, scene.train, masks)
+    start = StartingPoints(start.positions[outside], start.colors[outside], start.source)
+    stages = [f"warmup.surfel_iterations={config.train.warmup.surfel_iterations}", "mutual.iterations=0"]
+    settings = make_config(seed=config.seed, overrides=["branches=surfels", "flash=off", "stop_rule=none", *stages])
+    training = Training(
+        replace(scene, train=views, test=[]), start, settings, lambda report: progress(report.done), should_stop
+    )
+    model = training.run().model.surfels
+    assert model is not None
+    return model
+
+
+def _without_object(view: View, mask: np.ndarray) -> View:
+    """Return the view with the pixels of a mask [H,W] uint8, and those beside it, marked as invalid."""
+    import cv2  # late: training needs no OpenCV
+
+    reach = max(1, round(BESIDE * max(mask.shape)))
+    around = cv2.dilate(mask, np.ones((2 * reach + 1,) * 2, np.uint8)) > 0
+    return replace(view, valid_mask=~around if view.valid_mask is None else view.valid_mask & ~around)
+
+
+def _on_object(points: np.ndarray, views: Sequence[View], masks: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the points [P] bool that lie inside the mask in nearly all of the views that show them."""
+    shown, inside = np.zeros(len(points)), np.zeros(len(points))
+    for view, mask in zip(views, masks, strict=True):
+        pixels, depth = view.camera.project(points)
+        x, y = pixels.T
+        seen = (depth > 0) & (x > 0) & (x < view.camera.width) & (y > 0) & (y < view.camera.height)
+        value = ndimage.map_coordinates(mask, [y[seen] - 0.5, x[seen] - 0.5], order=0, mode="nearest")
+        shown[seen] += 1
+        inside[seen] += value > 127
+    return np.asarray((shown > 0) & (inside > INSIDE * shown))

@@ -29,11 +29,11 @@ class Blurred(StrEnum):
 
 
 class Object(StrEnum):
-    """What is reconstructed of a capture without masks. off: all that is seen. auto: the object that stands in the
-    middle, if there is a single one, by masks that are found for it; else all that is seen."""
+    """What is reconstructed of a capture without masks. auto: the object that stands in the middle, if there is a single
+    one, by masks that are found for it; else all that is seen. off: all that is seen."""
 
-    OFF = "off"
     AUTO = "auto"
+    OFF = "off"
 
 
 class Exposure(StrEnum):
@@ -49,7 +49,7 @@ class DataConfig:
 
     masks: Masks = Masks.AUTO
     exposure: Exposure = Exposure.AUTO
-    object: Object = Object.OFF
+    object: Object = Object.AUTO
     object_box: str | None = None  # x0,y0,z0,x1,y1,z1 in the capture's frame and unit: between these corners lies the
     # object, of which masks are found then; none leaves it to `object`
     blurred: Blurred = Blurred.KEEP

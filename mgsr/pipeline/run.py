@@ -70,7 +70,7 @@ def run_scene(
             config = planned_config(scene, start, budget, config, chosen, step.clock)
         progress(Event("plan", f"time budget of {plan_line(budget)}"))
     run = _Run(scene, start, config, out, step, chosen, budget)
-    training = _Training(run, resume)
+    training = _TrainingStep(run, resume)
     trained = training.run(before_surface=True)
     if budget is not None:
         run = replace(run, config=replace(config, mesh=budget.mesh_settings()))
@@ -99,7 +99,7 @@ def train_only(
     step = Steps(StepClock(), progress, should_stop)
     scene = take_scene(scene_path, out, config, step)
     scene, start = preprocess(scene, config, out, step)
-    return _Training(_Run(scene, start, config, out, step, chosen), resume).run(before_surface=True)
+    return _TrainingStep(_Run(scene, start, config, out, step, chosen), resume).run(before_surface=True)
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def _make_surface(run: _Run, trained: TrainResult) -> _Surface:
         return _Surface(mesh, surface_scores(mesh, truth, run.scene), _draw(mesh, truth, run.scene))
 
 
-def _set_reflector(run: _Run, training: _Training, trained: TrainResult, mesh: ReconstructedMesh) -> bool:
+def _set_reflector(run: _Run, training: _TrainingStep, trained: TrainResult, mesh: ReconstructedMesh) -> bool:
     """Let the finished mesh reflect the environment map, where that is of use; return whether the map is to be learned
     anew for it."""
     # With a mesh of few faces, or too little time to relearn the map, reflections would be worse than the splats'.
@@ -189,7 +189,7 @@ def result_line(report: ReportData) -> str:
     return ", ".join(parts) + (f"; {warning}" if warning else "")
 
 
-class _Training:
+class _TrainingStep:
     """Training as a step of the run, which may have two parts: before and after the surface. The branches are also
     written as splats; `out`/checkpoint holds them on the way and at the end."""
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsr.report.charts import Axes, Boundary, Line, line_chart, short_number
+from mgsr.report.charts import Axes, Boundary, Series, line_chart, short_number
 from mgsr.report.data import ReportData, finite
 from mgsr.report.decisions import stage_name, with_decisions
 from mgsr.report.encode import data_address
@@ -244,15 +244,15 @@ def _curves(data: ReportData) -> str:
         return ""
     boundaries = _boundaries(data)
     lines = [
-        Line("2D", "a", [(row.seconds, row.psnr_surfels) for row in data.curve if row.psnr_surfels is not None]),
-        Line("3D", "b", [(row.seconds, row.psnr_gaussians) for row in data.curve if row.psnr_gaussians is not None]),
+        Series("2D", "a", [(row.seconds, row.psnr_surfels) for row in data.curve if row.psnr_surfels is not None]),
+        Series("3D", "b", [(row.seconds, row.psnr_gaussians) for row in data.curve if row.psnr_gaussians is not None]),
     ]
     if not any(line.points for line in lines):
-        lines = [Line("PSNR", "a", [(row.seconds, row.psnr) for row in data.curve if row.psnr is not None])]
+        lines = [Series("PSNR", "a", [(row.seconds, row.psnr) for row in data.curve if row.psnr is not None])]
     error = line_chart(lines, Axes("PSNR on test views, dB", "seconds of training", "dB"), boundaries)
     counts = [
-        Line("2D", "a", [(row.seconds, row.surfels) for row in data.curve if row.surfels]),
-        Line("3D", "b", [(row.seconds, row.gaussians) for row in data.curve if row.gaussians]),
+        Series("2D", "a", [(row.seconds, row.surfels) for row in data.curve if row.surfels]),
+        Series("3D", "b", [(row.seconds, row.gaussians) for row in data.curve if row.gaussians]),
     ]
     number = line_chart(counts, Axes("Gaussians", "seconds of training", "count", True), boundaries)
     charts = "".join(

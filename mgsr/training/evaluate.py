@@ -17,10 +17,10 @@ from mgsr.renderers.surfels import render_surfels
 from mgsr.training.views import TrainingView, color_tensor
 
 # A branch's image [H,W,3] of a camera, on a background, shaded as `TrainingView.shading` says.
-Picture = Callable[[Camera, Color, Tensor | None], Tensor]
+RenderFunction = Callable[[Camera, Color, Tensor | None], Tensor]
 
 
-def surfel_picture(model: SurfelModel) -> Picture:
+def surfel_picture(model: SurfelModel) -> RenderFunction:
     """Return a function that renders the 2D branch."""
 
     def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:
@@ -29,7 +29,7 @@ def surfel_picture(model: SurfelModel) -> Picture:
     return picture
 
 
-def gaussian_picture(model: TrainedModel) -> Picture:
+def gaussian_picture(model: TrainedModel) -> RenderFunction:
     """Return a function that renders the 3D branch, including the environment map's reflection in the surface.
 
     The 2D branch is rendered only where it is that surface.
@@ -45,7 +45,7 @@ def gaussian_picture(model: TrainedModel) -> Picture:
 
 
 @torch.no_grad()
-def mean_psnr(picture: Picture, views: list[TrainingView], background: Color) -> float:
+def mean_psnr(picture: RenderFunction, views: list[TrainingView], background: Color) -> float:
     """Return the mean PSNR, dB, of a branch over views, with images clipped to 0..1.
 
     Only pixels that the photographs show count. background: the colour behind the splats and the photographs with

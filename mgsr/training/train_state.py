@@ -15,7 +15,7 @@ from mgsr.gaussians.start import start_gaussians, start_surfels
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.training.branch import Branch
 from mgsr.training.environment_map import EnvironmentMapTrainer
-from mgsr.training.evaluate import Picture, gaussian_picture, surfel_picture
+from mgsr.training.evaluate import RenderFunction, gaussian_picture, surfel_picture
 from mgsr.training.stages import GaussianBranch, SurfelBranch
 from mgsr.training.trainable import Trainable
 
@@ -71,7 +71,7 @@ class TrainState:
             None if light is None or not light.used else light.model,
         )
 
-    def picture(self, branch: str) -> Picture:
+    def picture(self, branch: str) -> RenderFunction:
         """Return a function that renders a branch, surfels or gaussians, as it stands."""
         model = self.model
         if branch == "surfels":

@@ -16,13 +16,13 @@ from mgsr.metrics.image import image_metrics
 from mgsr.metrics.split import SplitScore, mean_split, split_score
 from mgsr.metrics.surface import normal_metrics, surface_metrics
 from mgsr.metrics.truth import TrueSurface, load_truth
-from mgsr.pipeline.rendering import ViewImages
+from mgsr.pipeline.rendering import RenderedView
 
 # A scene's test views without any specular light, by the views' names.
 MATTE_FOLDER = "test_matte"
 
 
-def image_scores(rendered: Sequence[ViewImages], scene: Scene, background: Color = WHITE) -> dict[str, Any]:
+def image_scores(rendered: Sequence[RenderedView], scene: Scene, background: Color = WHITE) -> dict[str, Any]:
     """Score the test renders against the photographs, over all pixels that the photographs show.
 
     psnr_test and ssim_test are on the background, None without test views. psnr_fg_test and psnr_fg_gain_test are
@@ -62,12 +62,12 @@ def photograph(view: View) -> np.ndarray:
     return view.image if view.alpha is None else np.dstack([view.image, view.alpha])
 
 
-def rendering(image: ViewImages) -> np.ndarray:
+def rendering(image: RenderedView) -> np.ndarray:
     """Return an image as float32 [H,W,4] with straight alpha."""
     return np.dstack([straight_color(image.color, image.alpha), np.clip(image.alpha, 0, 1)])
 
 
-def _split(rendered: Sequence[ViewImages], scene: Scene) -> dict[str, float] | None:
+def _split(rendered: Sequence[RenderedView], scene: Scene) -> dict[str, float] | None:
     scores = []
     for image, view in zip(rendered, scene.test, strict=True):
         score = _split_view(image, view, scene)
@@ -79,7 +79,7 @@ def _split(rendered: Sequence[ViewImages], scene: Scene) -> dict[str, float] | N
     return {"split_psnr": mean.split_psnr, "split_photo": mean.split_photo, "split_gain": mean.split_gain}
 
 
-def _split_view(image: ViewImages, view: View, scene: Scene) -> SplitScore | None:
+def _split_view(image: RenderedView, view: View, scene: Scene) -> SplitScore | None:
     """Score the light split of a view.
 
     Returns None without a light split or without a matte picture of the view's size. It also returns None where the

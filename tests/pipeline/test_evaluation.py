@@ -16,7 +16,7 @@ from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, Similarity, View
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.evaluation import find_truth, image_scores, off_white, surface_scores
-from mgsr.pipeline.rendering import ViewImages
+from mgsr.pipeline.rendering import RenderedView
 from tests.metrics.altered import SCENE, altered_image, load
 
 GOLDEN = Path(__file__).parents[1] / "metrics" / "golden"
@@ -73,12 +73,12 @@ def test_renders_score_what_the_reference_says(scene: Scene) -> None:
     assert len(scores["views"]) == len(scene.test)
 
 
-def altered(view: View, scene: Scene) -> ViewImages:
+def altered(view: View, scene: Scene) -> RenderedView:
     """Return the blurred photographs that the reference was given, as the renderer would have them."""
     photo = load(scene.root / "test" / f"{view.name}.png")
     color, transmitted = (altered_image(photo, sigma).astype(np.float32) / 255 for sigma in (1.0, 3.0))
     alpha, nothing = color[..., 3:], np.zeros(color.shape[:2], np.float32)
-    return ViewImages(
+    return RenderedView(
         view.name,
         view.camera,
         color[..., :3] * alpha,

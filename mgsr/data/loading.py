@@ -166,7 +166,7 @@ def _resampled(
     camera, valid = view.camera, None
     shrink = tools.config.max_side / max(camera.width, camera.height)
     if shrink < 1:
-        camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
+        camera = camera.scaled(shrink)
         layers = [reduce_area(layer, camera.width, camera.height) for layer in layers]
     if photo.lens is not None:
         how = tools.undistort(photo.lens, camera.K, camera.width, camera.height, photo.source)
@@ -179,6 +179,5 @@ def _resampled(
 
 def reduced_view(view: View, scale: float) -> View:
     """Return the view with its sides times `scale`, at most 1, by area filtering (see `averaged`)."""
-    camera = view.camera
-    camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    camera = view.camera.scaled(scale)
     return averaged(view, camera, lambda pixels: reduce_area(pixels, camera.width, camera.height))

@@ -56,7 +56,7 @@ class Undistortion:
 
 
 @dataclass(frozen=True)
-class _Photograph:
+class _DistortedImage:
     """A photograph's lens, K and size."""
 
     lens: AnyLens
@@ -86,7 +86,7 @@ def undistortion(lens: AnyLens, K: np.ndarray, width: int, height: int, source: 
     lens projects its ray into the photograph, before its polynomial folds back. K [3,3] is in pixels. Raises SceneError
     naming `source` if nothing is left.
     """
-    photograph = _Photograph(lens, K, width, height)
+    photograph = _DistortedImage(lens, K, width, height)
     frame = _frame(photograph)
     map_x, map_y = np.empty((2, frame.height, frame.width), np.float32)
     valid = np.empty((frame.height, frame.width), bool)
@@ -160,7 +160,7 @@ def _bands(height: int) -> Iterator[slice]:
     return (slice(start, min(start + _BAND, height)) for start in range(0, height, _BAND))
 
 
-def _frame(photograph: _Photograph) -> _ImagePlane:
+def _frame(photograph: _DistortedImage) -> _ImagePlane:
     """Return the part of the image plane that the photograph shows, in whole pixels, found on a coarse sketch."""
     K = photograph.K
     lowest, highest = np.zeros(2), np.array([photograph.width, photograph.height])
@@ -181,7 +181,7 @@ def _frame(photograph: _Photograph) -> _ImagePlane:
     return _ImagePlane(*first.tolist(), *size)
 
 
-def _mapped(photograph: _Photograph, frame: _ImagePlane, rows: slice) -> tuple[np.ndarray, ...]:
+def _mapped(photograph: _DistortedImage, frame: _ImagePlane, rows: slice) -> tuple[np.ndarray, ...]:
     """Return map_x and map_y [rows,width] of an `Undistortion`, and which of these pixels the photograph shows."""
     K, width, height = photograph.K, photograph.width, photograph.height
     (fx, fy), (cx, cy) = K.diagonal()[:2].tolist(), K[:2, 2].tolist()

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsr.data.camera import Camera
+from mgsr.data.scene import some_of
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import diffuse
 from mgsr.geometry.mesh import Mesh
@@ -51,7 +52,7 @@ def environment_residuals(meshes: Sequence[Mesh], photos: PhotoSet) -> list[Envi
     for mesh in meshes:
         pixel = photos.pixel_on(mesh)
         coarse = coarser(mesh, ENVIRONMENT_EDGE * pixel)
-        observations = Observer(photos.linear, pixel, photos.threads).observe(coarse)
+        observations = Observer(some_of(photos.photographs), pixel, photos.threads).observe(coarse)
         environment = fit_mirrored_environment(observations, coarse.double_normals)
         read.append((coarse, pixel, observations.frontal(FRONTAL), environment))
     best = min((each[-1] for each in read), key=lambda environment: environment.ratio)

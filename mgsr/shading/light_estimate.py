@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from mgsr.data.scene import some_of
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.flash import flash_ratio
@@ -46,7 +47,7 @@ def estimate_light(mesh: Mesh, photos: PhotoSet, max_ratio: float, known: LightE
 
     max_ratio: the largest ratio of an accepted model; above it, the light is unknown. known: the previous estimate.
     """
-    observer = Observer(photos.linear, photos.pixel_on(mesh), photos.threads)
+    observer = Observer(some_of(photos.photographs), photos.pixel_on(mesh), photos.threads)
     coarse, searches = coarser(mesh, COMPARED_EDGE * observer.pixel), known.searches + 1
     observations = observer.observe(coarse)
     by_flash = flash_ratio(observations, coarse.double_normals)

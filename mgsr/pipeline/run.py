@@ -29,7 +29,7 @@ from mgsr.pipeline.run_metadata import run_report
 from mgsr.pipeline.steps import StepClock, Steps, StopCheck, always, never
 from mgsr.pipeline.time_budget import budget_report, fitted_scene, make_budget, plan_line, planned_config
 from mgsr.report.data import ReportData
-from mgsr.start.starting_points import StartingPoints
+from mgsr.start.points import StartingPoints
 from mgsr.training.progress import TrainResult
 from mgsr.training.run import Training
 

@@ -22,7 +22,7 @@ from mgsr.native.runtime import isas
 from mgsr.pipeline.device import Device
 from mgsr.pipeline.steps import StepClock
 from mgsr.report.data import CurvePoint, MeshFacts, ReportData, StageRun
-from mgsr.start.starting_points import StartingPoints
+from mgsr.start.points import StartingPoints
 from mgsr.training.progress import TrainResult
 
 PACKAGES = ("torch", "numpy", "scipy", "OpenImageIO", "open3d-cpu", "open3d")

@@ -16,7 +16,7 @@ from mgsr.data.scene import Scene
 from mgsr.metrics.truth import TRUTH
 from mgsr.pipeline.device import Device
 from mgsr.pipeline.steps import StepClock
-from mgsr.start.starting_points import StartingPoints
+from mgsr.start.points import StartingPoints
 from mgsr.training.checkpoint import read_schedule
 from mgsr.training.probe import probe
 

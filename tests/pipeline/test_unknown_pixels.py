@@ -26,7 +26,8 @@ from mgsr.pipeline.meshing import make_mesh
 from mgsr.pipeline.rendering import render_views, scene_silhouettes
 from mgsr.pipeline.report_pictures import draw_surface, report_pictures
 from mgsr.pipeline.run_metadata import scene_facts
-from mgsr.start.starting_points import StartingPoints, starting_points
+from mgsr.start.points import StartingPoints
+from mgsr.start.starting_points import starting_points
 from mgsr.training.run import Training
 from tests.data.fisheye import write_fisheye
 from tests.optional import present

@@ -21,7 +21,7 @@ PHOTOGRAPHS = 64  # views that suffice to examine a surface; more add little
 
 @dataclass(frozen=True)
 class View:
-    """One photograph with its camera.
+    """One photograph with its camera; `Photograph` adds the images that are derived from it.
 
     name: unique, without extension. image [H,W,3] uint8 sRGB, not premultiplied. alpha [H,W] uint8: 255 is the object;
     None without a mask. valid_mask [H,W] bool: the pixels that the photograph shows; None where it shows all. Image and

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from html import escape
 from pathlib import Path
 
@@ -69,10 +70,9 @@ def report_page(data: ReportData, pictures: ReportPictures) -> str:
 
 
 def _lead(data: ReportData) -> str:
-    given = data.other.get("input") or {}
-    words = [f"{len(given['train_views'])} photographs"] if given.get("train_views") else []
-    if given.get("image_size"):
-        words.append("{} × {} pixels".format(*given["image_size"]))
+    words = []
+    if data.input is not None:
+        words = [f"{len(data.input.train_views)} photographs", "{} × {} pixels".format(*data.input.image_size)]
     words += [f"{data.method} {data.preset}", f"on {data.device}"]
     return f'<p class="lead">{escape(", ".join(words))}</p>'
 
@@ -332,7 +332,7 @@ def _settings(data: ReportData) -> str:
     facts += [("Most memory held", f"{data.peak_memory_mib:,.0f} MiB")]
     facts += [(_seconds_name(name), f"{value:.1f}") for name, value in data.seconds.items()]
     facts += [(f"Version of {name}", str(value)) for name, value in data.versions.items()]
-    machine = data.other.get("machine") or {}
+    machine = {} if data.machine is None else asdict(data.machine)
     facts += [(f"Machine, {name}", str(value)) for name, value in machine.items()]
     rows = "".join(f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>' for name, value in facts)
     command = f"<h3>Command</h3><pre>{escape(data.command)}</pre>" if data.command else ""
@@ -347,8 +347,7 @@ def _seconds_name(name: str) -> str:
 
 
 def _all_settings(data: ReportData) -> str:
-    settings = data.other.get("settings")
-    if not settings:
+    if data.settings is None:
         return ""
-    text = json.dumps(finite(settings), indent=2, ensure_ascii=False, default=str)
+    text = json.dumps(finite(data.settings), indent=2, ensure_ascii=False, default=str)
     return f"<details><summary>All settings</summary><pre>{escape(text)}</pre></details>"

@@ -81,7 +81,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
     yield "reduced views", [(view.image[view.valid_mask], view.valid_mask) for view in map(_halved, scene.train)]
     for each in scene_silhouettes(scene):
         yield "silhouette", (each.distance, each.valid_mask)
-    yield "facts", sorted(map(str, scene_facts(scene).items()))
+    yield "facts", repr(scene_facts(scene))
     start = starting_points(scene, 400, 0)
     yield "brightness", brightness_jumps(scene.train)
     yield "start", [start.positions, start.colors, start.normals, start.shiny]

@@ -1,10 +1,11 @@
-"""The PSNR of a branch on views, for the curve and the convergence test."""
+"""Renders during training: their PSNR for the curve and the convergence test, and previews for the user."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -61,3 +62,22 @@ def mean_psnr(picture: RenderFunction, views: list[TrainingView], background: Co
         error = float(squares.mean())
         values.append(-10 * math.log10(max(error, 1e-10)))
     return sum(values) / len(values)
+
+
+@torch.no_grad()
+def preview_pictures(model: TrainedModel, view: TrainingView, background: Color) -> dict[str, np.ndarray]:
+    """Render pictures uint8 [H,W,3] of a view, before a background.
+
+    render: of the rendering branch, or the only one; normals: of the surface, world axes as colours, grey off the
+    surface; transmitted and reflected: the halves of the light, where it is split.
+    """
+    color = color_tensor(background, model.device)
+    flat, full = render_both(model, view.camera, color, depth=False, shading=view.shading())
+    images: dict[str, Tensor] = {}
+    if flat is not None:
+        images = {"render": flat.color, "normals": flat.normal * 0.5 + 0.5}
+    if full is not None:
+        images["render"] = full.color
+        if full.reflected is not None and full.weight is not None:
+            images |= {"transmitted": full.transmitted, "reflected": full.weight[..., None] * full.reflected}
+    return {name: (image.clamp(0, 1) * 255).round().to(torch.uint8).cpu().numpy() for name, image in images.items()}

@@ -57,8 +57,14 @@ def image_scores(rendered: Sequence[RenderedView], scene: Scene, background: Col
         image.name: image_metrics(photograph(view), rendering(image), view.valid_mask, background)
         for image, view in zip(rendered, scene.test, strict=True)
     }
-    means = (_mean(views, name) for name in ("psnr", "ssim", "psnr_fg", "psnr_fg_gain"))
-    return ImageScores(*means, views, _split(rendered, scene))
+    return ImageScores(
+        psnr_test=_mean(views, "psnr"),
+        ssim_test=_mean(views, "ssim"),
+        psnr_fg_test=_mean(views, "psnr_fg"),
+        psnr_fg_gain_test=_mean(views, "psnr_fg_gain"),
+        views=views,
+        split=_split(rendered, scene),
+    )
 
 
 def find_truth(scene: Scene) -> TrueSurface | None:

@@ -148,8 +148,8 @@ def load_result(out: str | os.PathLike[str]) -> Reconstruction:
     folder = _path("out", out)
     report = read_report(folder)
     try:
-        if report.input is None or report.start_kept is None or report.mesh_steps is None:
-            raise KeyError("input, start_kept or mesh_steps")
+        if report.input is None or report.light is None or report.start_kept is None or report.mesh_steps is None:
+            raise KeyError("input, light, start_kept or mesh_steps")
         unit = float((report.settings or {})["output"]["scale"])
         frame = report.input.user_from_scene
         normalisation = Similarity(frame.scale / unit, np.array(frame.offset, np.float64) / unit)

@@ -18,8 +18,7 @@ from mgsr.errors import MgsrError, in_short
 from mgsr.export.environment_map import StoredEnvironmentMap, load_environment_map, write_environment_map
 from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.export.flash import load_flash, write_flash
-from mgsr.export.gltf import Up as UpDirection
-from mgsr.export.gltf import UpAxis
+from mgsr.export.gltf import UpAxis, UpDirection
 from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
 from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number, read_origin

@@ -259,7 +259,7 @@ def _read(kind: Any, value: Any) -> Any:
     inner = get_args(kind)
     if NoneType in inner:
         return None if value is None else _read(inner[0], value)
-    if is_dataclass(kind):
+    if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind)
         return kind(**{name: _read(hints[name], item) for name, item in value.items() if name in hints})
     if get_origin(kind) is list:

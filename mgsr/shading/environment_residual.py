@@ -13,14 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsr.data.camera import Camera
-from mgsr.data.scene import some_of
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import diffuse
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.environment_fit import FittedEnvironmentMap
 from mgsr.shading.light_models import ENVIRONMENT_EDGE, FRONTAL, fit_mirrored_environment
 from mgsr.shading.observations import Observations
-from mgsr.shading.photo_set import Observer, PhotoSet
+from mgsr.shading.photo_set import PhotoSet
 
 AROUND = 6.0  # pixels over which residuals are averaged
 FEWEST = 3  # least number of observations of a point that counts
@@ -50,11 +49,11 @@ def environment_residuals(meshes: Sequence[Mesh], photos: PhotoSet) -> list[Envi
     """Return each mesh's residual; the variances use one map for all, the one with the least ratio on its own mesh."""
     read = []
     for mesh in meshes:
-        pixel = photos.pixel_on(mesh)
-        coarse = coarser(mesh, ENVIRONMENT_EDGE * pixel)
-        observations = Observer(some_of(photos.photographs), pixel, photos.threads).observe(coarse)
+        observer = photos.observer(mesh)
+        coarse = coarser(mesh, ENVIRONMENT_EDGE * observer.pixel)
+        observations = observer.observe(coarse)
         environment = fit_mirrored_environment(observations, coarse.double_normals)
-        read.append((coarse, pixel, observations.frontal(FRONTAL), environment))
+        read.append((coarse, observer.pixel, observations.frontal(FRONTAL), environment))
     best = min((each[-1] for each in read), key=lambda environment: environment.ratio)
     return [
         EnvironmentResidual(

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from mgsr.data.scene import some_of
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.flash import flash_ratio
 from mgsr.shading.light_models import EnvironmentLight, FlashLight, LightModel, fit_mirrored_environment
-from mgsr.shading.photo_set import Observer, PhotoSet
+from mgsr.shading.photo_set import PhotoSet
 
 # Largest residual ratio of an environment map on an approximate surface; a map with a larger one is rejected.
 MAX_ENVIRONMENT_RATIO = 0.85
@@ -47,7 +46,7 @@ def estimate_light(mesh: Mesh, photos: PhotoSet, max_ratio: float, known: LightE
 
     max_ratio: the largest ratio of an accepted model; above it, the light is unknown. known: the previous estimate.
     """
-    observer = Observer(some_of(photos.photographs), photos.pixel_on(mesh), photos.threads)
+    observer = photos.observer(mesh)
     coarse, searches = coarser(mesh, COMPARED_EDGE * observer.pixel), known.searches + 1
     observations = observer.observe(coarse)
     by_flash = flash_ratio(observations, coarse.double_normals)

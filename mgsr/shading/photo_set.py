@@ -10,7 +10,7 @@ import numpy as np
 
 from mgsr.data.camera import pixel_size
 from mgsr.data.photograph import Photograph
-from mgsr.data.scene import View
+from mgsr.data.scene import View, some_of
 from mgsr.data.silhouettes import Silhouette
 from mgsr.geometry.contours import SilhouetteContour, find_contour
 from mgsr.geometry.mesh import Mesh
@@ -42,6 +42,10 @@ class PhotoSet:
     def pixel_on(self, mesh: Mesh) -> float:
         """Return the size of a pixel at a mesh's centroid, in the scene's unit."""
         return pixel_size([view.camera for view in self.views], mesh.vertices.mean(axis=0))
+
+    def observer(self, mesh: Mesh) -> Observer:
+        """Return `some_of` the photographs as an observer of a mesh."""
+        return Observer(some_of(self.photographs), self.pixel_on(mesh), self.threads)
 
 
 @dataclass(frozen=True)

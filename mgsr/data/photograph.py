@@ -12,9 +12,6 @@ from mgsr.data.images import srgb_to_linear
 from mgsr.data.scene import View
 from mgsr.data.valid_mask import valid_inside
 
-SOLID = 0.97  # least alpha; pixels below it mix object and background
-CLIPPED = 0.98  # largest value of the brightest channel; pixels above it are clipped
-
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
@@ -24,6 +21,8 @@ class Photograph:
     """
 
     view: View
+    min_alpha: float = 0.97  # least alpha of a pixel; those below mix object and background
+    clipped: float = 0.98  # largest value of a pixel's brightest channel; those above are clipped
 
     @property
     def camera(self) -> Camera:
@@ -40,9 +39,9 @@ class Photograph:
     def opaque(self) -> np.ndarray:
         """Return the valid pixels that show the object alone and are not clipped, [H,W] bool."""
         view = self.view
-        opaque: np.ndarray = view.image.max(axis=-1) <= CLIPPED * 255
+        opaque: np.ndarray = view.image.max(axis=-1) <= self.clipped * 255
         if view.alpha is not None:
-            opaque &= view.alpha >= SOLID * 255
+            opaque &= view.alpha >= self.min_alpha * 255
         if view.valid_mask is not None:
             opaque &= view.valid_mask
         return opaque

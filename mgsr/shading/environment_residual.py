@@ -49,11 +49,11 @@ def environment_residuals(meshes: Sequence[Mesh], photos: PhotoSet) -> list[Envi
     """Return each mesh's residual; the variances use one map for all, the one with the least ratio on its own mesh."""
     read = []
     for mesh in meshes:
-        observer = photos.observer(mesh)
-        coarse = coarser(mesh, ENVIRONMENT_EDGE * observer.pixel)
-        observations = observer.observe(coarse)
+        pixel = photos.pixel_on(mesh)
+        coarse = coarser(mesh, ENVIRONMENT_EDGE * pixel)
+        observations = photos.observer(pixel).observe(coarse)
         environment = fit_mirrored_environment(observations, coarse.double_normals)
-        read.append((coarse, observer.pixel, observations.frontal(FRONTAL), environment))
+        read.append((coarse, pixel, observations.frontal(FRONTAL), environment))
     best = min((each[-1] for each in read), key=lambda environment: environment.ratio)
     return [
         EnvironmentResidual(

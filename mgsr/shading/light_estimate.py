@@ -46,8 +46,8 @@ def estimate_light(mesh: Mesh, photos: PhotoSet, max_ratio: float, known: LightE
 
     max_ratio: the largest ratio of an accepted model; above it, the light is unknown. known: the previous estimate.
     """
-    observer = photos.observer(mesh)
-    coarse, searches = coarser(mesh, COMPARED_EDGE * observer.pixel), known.searches + 1
+    observer, searches = photos.observer(photos.pixel_on(mesh)), known.searches + 1
+    coarse = coarser(mesh, COMPARED_EDGE * observer.pixel)
     observations = observer.observe(coarse)
     by_flash = flash_ratio(observations, coarse.double_normals)
     by_environment = fit_mirrored_environment(observations, coarse.double_normals).ratio

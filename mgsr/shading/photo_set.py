@@ -43,9 +43,9 @@ class PhotoSet:
         """Return the size of a pixel at a mesh's centroid, in the scene's unit."""
         return pixel_size([view.camera for view in self.views], mesh.vertices.mean(axis=0))
 
-    def observer(self, mesh: Mesh) -> Observer:
-        """Return `some_of` the photographs as an observer of a mesh."""
-        return Observer(some_of(self.photographs), self.pixel_on(mesh), self.threads)
+    def observer(self, pixel: float) -> Observer:
+        """Return an observer of meshes on which a pixel has the size `pixel`, in the scene's unit."""
+        return Observer(some_of(self.photographs), pixel, self.threads)
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,7 @@ def measured(path: Path, run: Path) -> list[PartRow]:
             began = time.process_time()
             mesh = extracted(parts)
             seconds = time.process_time() - began
-            scores = surface_scores(mesh, truth, scene)["gt"]
+            scores = surface_scores(mesh, truth, scene) or {}
             figures = 1000 * scores["chamfer"], scores["normal_error"], seconds
             rows.append(PartRow(path.name, without, *figures, program_commit()))
     return rows

@@ -10,7 +10,7 @@ import numpy as np
 
 from mgsr.data.camera import Camera
 from mgsr.data.scene import Scene, Similarity, View
-from mgsr.start.starting_points import StartingPoints, StartSource
+from mgsr.start.points import StartingPoints, StartSource
 
 RADIUS, DISTANCE, SAMPLES = 0.6, 2.6, 2
 Spheres = tuple[np.ndarray, np.ndarray]  # centres [S,3] and radii [S]

@@ -21,22 +21,12 @@ from PIL import Image
 from mgsr.config import Config
 from mgsr.data.camera import Camera
 from mgsr.data.scene import Scene, Similarity, View
-from mgsr.training.train_state import StartingPoints
+from mgsr.start.points import StartingPoints, StartSource
 
 BALL = "ball"
 PARTS = ("train", "test")
 # What a run finds before it trains, and leaves among its results.
 FINDINGS = ("flash.npz", "exposures.json")
-
-
-@dataclass(frozen=True)
-class PackedPoints:
-    """Starting points as `Training` takes them."""
-
-    positions: np.ndarray
-    colors: np.ndarray
-    normals: np.ndarray | None
-    shiny: bool | None
 
 
 @dataclass(frozen=True)
@@ -110,7 +100,7 @@ def unpack(file: Path) -> Packed:
     similarity = Similarity(float(arrays["scale"]), arrays["offset"])
     scene = Scene(str(arrays["name"]), file, "packed", views["train"], views["test"], None, similarity)
     shiny = bool(arrays["shiny"]) if "shiny" in arrays else None
-    start = PackedPoints(arrays["positions"], arrays["colors"], arrays.get("normals"), shiny)
+    start = StartingPoints(arrays["positions"], arrays["colors"], StartSource.CAPTURE, arrays.get("normals"), shiny)
     return Packed(scene, start, {name: arrays[name].tobytes() for name in FINDINGS if name in arrays})
 
 

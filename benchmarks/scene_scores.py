@@ -103,8 +103,7 @@ def scores_of(mesh: Mesh, scene: Scene, truth: TrueSurface | None) -> dict[str, 
     """Return the scores of a mesh in the scene's frame against the truth."""
     placed = scene.user_from_scene.to_user(mesh.vertices)
     grey = ReconstructedMesh(placed, mesh.faces, np.zeros_like(placed, np.float32))
-    scores: dict[str, float] = surface_scores(grey, truth, scene)["gt"]
-    return scores
+    return surface_scores(grey, truth, scene) or {}
 
 
 if __name__ == "__main__":

@@ -21,9 +21,9 @@ from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.machine import program_commit
 from mgsr.config import Growth, make_config
 from mgsr.data.scene import Scene
+from mgsr.start.points import StartingPoints
 from mgsr.training.evaluate import gaussian_picture, mean_psnr
 from mgsr.training.run import Training
-from mgsr.training.train_state import StartingPoints
 from mgsr.training.views import prepare_views
 
 CAPS = (5_000, 10_000, 20_000, 50_000, 100_000, 200_000, 400_000)

@@ -28,12 +28,13 @@ if TYPE_CHECKING:
         TensorError,
         TrainingError,
     )
+    from mgsr.export.renders import Rendering
     from mgsr.gaussians.environment_map import EnvironmentMap
     from mgsr.gaussians.gaussians import GaussianModel
     from mgsr.gaussians.surfels import SurfelModel
     from mgsr.geometry.mesh import Mesh
     from mgsr.mesh.surface import ReconstructedMesh
-    from mgsr.pipeline.novel_view import Rendering, render
+    from mgsr.pipeline.novel_view import render
     from mgsr.pipeline.progress import Event
     from mgsr.pipeline.reconstruction import Reconstruction, load_result, reconstruct
 
@@ -83,7 +84,7 @@ _MODULES = {
     "EnvironmentMap": "mgsr.gaussians.environment_map",
     "ReconstructedMesh": "mgsr.mesh.surface",
     "Reconstruction": "mgsr.pipeline.reconstruction",
-    "Rendering": "mgsr.pipeline.novel_view",
+    "Rendering": "mgsr.export.renders",
     "Scene": "mgsr.data.scene",
     "SurfelModel": "mgsr.gaussians.surfels",
     "View": "mgsr.data.scene",

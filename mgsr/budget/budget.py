@@ -17,7 +17,7 @@ from typing import Any
 
 from mgsr.budget import costs
 from mgsr.budget.costs import Facts
-from mgsr.budget.line import HIGHEST, JUST_ABOVE_DRAFT, LOWEST, Line
+from mgsr.budget.line import HIGHEST, JUST_ABOVE_DRAFT, LOWEST, SettingsLine
 from mgsr.config import (
     Branches,
     Config,
@@ -52,7 +52,7 @@ class TimeBudget:
     def __init__(self, config: Config, clock: Callable[[], float], on_card: bool = False) -> None:
         assert config.time_budget is not None
         self.seconds = config.time_budget
-        self.line = Line(config)
+        self.line = SettingsLine(config)
         self.on_card = on_card
         self.place: float | None = None
         self.scale: float | None = None

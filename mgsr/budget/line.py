@@ -18,7 +18,7 @@ LOWEST, HIGHEST = -0.75, 2.0  # below, too little is trained to be of use; above
 JUST_ABOVE_DRAFT = 0.01  # where the parts that draft lacks begin
 
 
-class Line:
+class SettingsLine:
     """The line of settings for one run.
 
     Settings that the caller changed from the preset's and the method's stay fixed along the line.

@@ -53,7 +53,7 @@ def info(scene: SceneArgument, settings: SetOption = None) -> None:
         from mgsr.pipeline.run_metadata import scene_facts
 
         found = load_scene(scene, config.data)
-        for name, value in scene_facts(found).items():
+        for name, value in scene_facts(found).to_json().items():
             print(f"{name:16} {', '.join(map(str, value)) if isinstance(value, list) else value}")
 
 

@@ -46,6 +46,10 @@ class Camera:
         K[1] *= height / self.height
         return replace(self, K=K, width=width, height=height)
 
+    def scaled(self, factor: float, least: int = 1) -> Camera:
+        """Return the same camera with its image's sides times a factor, rounded, each of `least` pixels or more."""
+        return self.resized(max(least, round(self.width * factor)), max(least, round(self.height * factor)))
+
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return pixel coordinates [P,2] and camera depths [P] of world points [P,3].
 

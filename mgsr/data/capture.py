@@ -27,7 +27,7 @@ class Split(StrEnum):
 
 @dataclass(frozen=True)
 class Photo:
-    """One photograph.
+    """One photograph as the files of a capture describe it; loaded, it is a `View`.
 
     image: its file. mask: a file that is white on the object, or black on the regions to ignore and white elsewhere
     (see `MaskUse`), or None. ignored: a file that is white on the regions to ignore and black elsewhere, or None.

@@ -19,7 +19,7 @@ from mgsr.data.archive import unpack
 from mgsr.data.gather_photos import find_photos, gather
 from mgsr.data.odd_files import VIDEO_CURE, is_video
 from mgsr.data.registration import check_share
-from mgsr.data.shared_lenses import Lens, describe_lenses, share_lenses
+from mgsr.data.shared_lenses import SharedLens, describe_lenses, share_lenses
 from mgsr.data.zoom_check import zoom_note
 from mgsr.errors import ConfigError, SceneError, in_short
 
@@ -63,7 +63,7 @@ def find_poses(
         gathered = gather(folder, images, scene / "images")
         for note in gathered.notes:  # before an hour of matching, not after
             say(note)
-        lenses = [Lens((shot,)) for shot in gathered.shots] if camera_per_image else share_lenses(gathered.shots)
+        lenses = [SharedLens((shot,)) for shot in gathered.shots] if camera_per_image else share_lenses(gathered.shots)
         say("a camera for each photograph" if camera_per_image else describe_lenses(lenses))
         model, notes = _placed(_pycolmap(), scene / "images", lenses, seed, say)
         (scene / "sparse/0").mkdir(parents=True)
@@ -101,7 +101,9 @@ def _pycolmap() -> Any:
     return pycolmap
 
 
-def _placed(colmap: Any, folder: Path, lenses: Sequence[Lens], seed: int, say: Say) -> tuple[Any, tuple[str, ...]]:
+def _placed(
+    colmap: Any, folder: Path, lenses: Sequence[SharedLens], seed: int, say: Say
+) -> tuple[Any, tuple[str, ...]]:
     """Return COLMAP's largest model of the photographs in a folder, and notes on it.
 
     Raises SceneError where too few photographs could be placed.
@@ -121,7 +123,7 @@ def _placed(colmap: Any, folder: Path, lenses: Sequence[Lens], seed: int, say: S
     return model, (*notes, *zoom_note(colmap, model))
 
 
-def _run(colmap: Any, folder: Path, lenses: Sequence[Lens], work: Path, seed: int, say: Say) -> Sequence[Any]:
+def _run(colmap: Any, folder: Path, lenses: Sequence[SharedLens], work: Path, seed: int, say: Say) -> Sequence[Any]:
     """Run COLMAP's feature extraction, matching and incremental mapping; return its models."""
     colmap.set_random_seed(seed)
     database = work / "database.db"
@@ -145,7 +147,7 @@ def _run(colmap: Any, folder: Path, lenses: Sequence[Lens], work: Path, seed: in
     return list(models.values())
 
 
-def _write_cameras(colmap: Any, database: Path, folder: Path, lenses: Sequence[Lens]) -> list[str]:
+def _write_cameras(colmap: Any, database: Path, folder: Path, lenses: Sequence[SharedLens]) -> list[str]:
     """Write a camera for each lens, and its photographs, into a new COLMAP database; return their names, sorted.
 
     COLMAP's own modes of camera sharing support neither several lenses in a folder nor EXIF in another file.
@@ -168,7 +170,7 @@ def _write_cameras(colmap: Any, database: Path, folder: Path, lenses: Sequence[L
     return sorted(rigs)
 
 
-def _camera(colmap: Any, folder: Path, lens: Lens) -> Any:
+def _camera(colmap: Any, folder: Path, lens: SharedLens) -> Any:
     """Return a COLMAP camera with the focal length that EXIF gives.
 
     The 35 mm equivalent comes first; else the real focal length with the sensor's size, which COLMAP knows for many

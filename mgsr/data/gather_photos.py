@@ -14,9 +14,9 @@ import numpy as np
 
 from mgsr.data.camera_tags import read_tags
 from mgsr.data.files import folded, images_below
-from mgsr.data.images import Picture, is_heif, read_picture
+from mgsr.data.images import DecodedImage, is_heif, read_picture
 from mgsr.data.odd_files import RAW_CURE, RAW_SUFFIXES, VIDEO_CURE, is_video, what_instead
-from mgsr.data.shared_lenses import Shot
+from mgsr.data.shared_lenses import PhotoFile
 from mgsr.errors import SceneError, in_short
 
 # Fewer than these can't be placed.
@@ -44,7 +44,7 @@ _HEIF_BRANDS = (b"mif1", b"msf1", b"mif2", b"avif", b"avis", b"miaf", b"jpeg", b
 class Gathered:
     """The photographs in the scene's folder, and notes for the user on omitted files."""
 
-    shots: tuple[Shot, ...]
+    shots: tuple[PhotoFile, ...]
     notes: tuple[str, ...]
 
 
@@ -67,7 +67,7 @@ def gather(photos: Path, images: Sequence[Path], folder: Path) -> Gathered:
     decoded once, so that damaged ones are found. Raises SceneError where most can't be read or too few are left, with
     the reason of the first.
     """
-    shots: list[Shot] = []
+    shots: list[PhotoFile] = []
     lost: dict[str, SceneError] = {}
     taken = {folded(str(image.relative_to(photos))) for image in images}
     for image in images:
@@ -89,7 +89,7 @@ def _notes_of_lost(lost: Mapping[str, SceneError], total: int) -> tuple[str, ...
     return (f"{len(lost)} of {total} photographs can't be read and are left out ({names}); the first: {first}",)
 
 
-def _hand_over(image: Path, name: Path, folder: Path, taken: set[str]) -> Shot:
+def _hand_over(image: Path, name: Path, folder: Path, taken: set[str]) -> PhotoFile:
     """Put one photograph into the folder under `name`, converted to PNG if need be.
 
     taken: folded names in use; the name of a converted photograph is added. Raises SceneError for files that are not
@@ -108,7 +108,7 @@ def _hand_over(image: Path, name: Path, folder: Path, taken: set[str]) -> Shot:
     else:
         _link(image, place)
     height, width = picture.colors.shape[:2]
-    return Shot(name.as_posix(), (width, height), tags)
+    return PhotoFile(name.as_posix(), (width, height), tags)
 
 
 def _require_photo(image: Path) -> None:
@@ -151,7 +151,7 @@ def _free_name(name: Path, taken: set[str]) -> Path:
     return free
 
 
-def _png(picture: Picture) -> bytes:
+def _png(picture: DecodedImage) -> bytes:
     import cv2  # late: few captures need it
 
     pixels = picture.colors[..., ::-1]

@@ -24,7 +24,7 @@ _HEIF_ERRORS = (ValueError, EOFError, SyntaxError, OSError, RuntimeError, IndexE
 
 
 @dataclass(frozen=True)
-class Picture:
+class DecodedImage:
     """A decoded image file.
 
     colors [H,W,3] uint8 sRGB, not premultiplied; alpha [H,W] uint8 or None. orientation: EXIF's number from 1 to 8,
@@ -67,7 +67,7 @@ def read_image(path: Path, source: str) -> tuple[np.ndarray, np.ndarray | None]:
     return picture.colors, picture.alpha
 
 
-def read_picture(path: Path, source: str) -> Picture:
+def read_picture(path: Path, source: str) -> DecodedImage:
     """Read the file's pixels as they are stored, not turned by their EXIF orientation.
 
     Grey and CMYK images become RGB. Files that say they are linear, and float images without such a tag (EXR, HDR), get
@@ -80,7 +80,7 @@ def read_picture(path: Path, source: str) -> Picture:
     pixels, channels, orientation = _read_pixels(path, source)
     alpha = None if channels.alpha is None else np.ascontiguousarray(pixels[..., -1])
     colors = pixels[..., : len(channels.colors)]
-    return Picture(_as_rgb(colors), alpha, orientation)
+    return DecodedImage(_as_rgb(colors), alpha, orientation)
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
@@ -298,7 +298,7 @@ def _open_heif(path: Path, source: str) -> Any:
     return opened
 
 
-def _read_heif(path: Path, source: str) -> Picture:
+def _read_heif(path: Path, source: str) -> DecodedImage:
     """Read a HEIC file. Its decoder turns the pixels upright, so the orientation is always 1.
 
     Raises SceneError for damaged files.
@@ -311,7 +311,7 @@ def _read_heif(path: Path, source: str) -> Picture:
         raise SceneError(f"{path.name}: damaged image: {reason} (asked for by {source}); copy it again") from error
     pixels = pixels.reshape(*pixels.shape[:2], -1)
     alpha = np.ascontiguousarray(pixels[..., -1]) if pixels.shape[2] in (2, 4) else None
-    return Picture(_as_rgb(pixels[..., : 1 if pixels.shape[2] < 3 else 3]), alpha)
+    return DecodedImage(_as_rgb(pixels[..., : 1 if pixels.shape[2] < 3 else 3]), alpha)
 
 
 def _check_there(path: Path, source: str) -> None:

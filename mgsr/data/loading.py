@@ -12,7 +12,7 @@ import numpy as np
 from mgsr.config import DataConfig, Masks
 from mgsr.data.camera import Camera
 from mgsr.data.capture import Photo
-from mgsr.data.images import Picture, read_mask, read_picture, reduce_area, to_uint8, upright
+from mgsr.data.images import DecodedImage, read_mask, read_picture, reduce_area, to_uint8, upright
 from mgsr.data.masks import fitted_mask
 from mgsr.data.pixels import PixelStore
 from mgsr.data.scene import View
@@ -105,7 +105,9 @@ def _load(photo: Photo, name: str, tools: _Tools) -> LoadedView:
     return LoadedView(replace(view, image=hold(view.image), alpha=alpha), mask, ignored)
 
 
-def _turned(picture: Picture, masks: list[np.ndarray | None], photo: Photo) -> tuple[Picture, list[np.ndarray | None]]:
+def _turned(
+    picture: DecodedImage, masks: list[np.ndarray | None], photo: Photo
+) -> tuple[DecodedImage, list[np.ndarray | None]]:
     """Return the photograph and its masks [H,W] in the orientation that its camera was calibrated for.
 
     The photograph keeps its stored orientation, as in COLMAP, unless only its upright form has the camera's shape.
@@ -123,7 +125,7 @@ def _turned(picture: Picture, masks: list[np.ndarray | None], photo: Photo) -> t
         for mask in masks
     ]
     alpha = None if picture.alpha is None else upright(picture.alpha, picture.orientation)
-    return Picture(upright(picture.colors, picture.orientation), alpha), turned
+    return DecodedImage(upright(picture.colors, picture.orientation), alpha), turned
 
 
 def _camera(photo: Photo, width: int, height: int) -> Camera:
@@ -164,7 +166,7 @@ def _resampled(
     camera, valid = view.camera, None
     shrink = tools.config.max_side / max(camera.width, camera.height)
     if shrink < 1:
-        camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
+        camera = camera.scaled(shrink)
         layers = [reduce_area(layer, camera.width, camera.height) for layer in layers]
     if photo.lens is not None:
         how = tools.undistort(photo.lens, camera.K, camera.width, camera.height, photo.source)
@@ -177,6 +179,5 @@ def _resampled(
 
 def reduced_view(view: View, scale: float) -> View:
     """Return the view with its sides times `scale`, at most 1, by area filtering (see `averaged`)."""
-    camera = view.camera
-    camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    camera = view.camera.scaled(scale)
     return averaged(view, camera, lambda pixels: reduce_area(pixels, camera.width, camera.height))

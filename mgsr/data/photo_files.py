@@ -69,7 +69,7 @@ class SceneFolder:
         name if there is one, else the only one of that stem with another extension. labels: names are no paths, so that
         photographs may lie in any folder without a note.
         """
-        return _Search(self, file, names, places, labels).result()
+        return _NameSearch(self, file, names, places, labels).result()
 
     def shown(self, path: Path) -> str:
         """Return a path below the top as messages show it."""
@@ -129,7 +129,7 @@ def _index(folder: Path) -> dict[str, list[Path]]:
 
 
 @dataclass(frozen=True)
-class _Candidate:
+class _FileCandidate:
     """A file that may be the photograph.
 
     agreeing: how many of the path's last folders it agrees with. same_name: whether its extension agrees too. plain:
@@ -162,7 +162,7 @@ class _Taken:
         self._stems = {folded(path.stem) for path in paths}
         self._twins: dict[Path, bool] = {}
 
-    def rules_out(self, offer: _Candidate) -> bool:
+    def rules_out(self, offer: _FileCandidate) -> bool:
         """Return whether a file can't be another photograph.
 
         It is taken already, or it lies among other images of taken photographs, in a folder that the photograph's name
@@ -175,7 +175,7 @@ class _Taken:
         return offer.path in self._paths or (offer.agreeing == 0 and self._twins[folder])
 
 
-class _Search:
+class _NameSearch:
     """One look-up of all names of a file, as each name gives hints about the others."""
 
     def __init__(
@@ -195,23 +195,25 @@ class _Search:
         }
         bases = Counter(base for found in offers.values() for base in {offer.base for offer in found})
         chosen = [self._chosen(number, path, offers.get(number, []), bases) for number, path in enumerate(stated)]
-        paths = [item.path if isinstance(item, _Candidate) else item for item in self._one_each(chosen)]
+        paths = [item.path if isinstance(item, _FileCandidate) else item for item in self._one_each(chosen)]
         return FoundPhotos(self._file, paths, self._notes(stated, paths))
 
-    def _one_each(self, chosen: Sequence[_Candidate | Path | SceneError]) -> list[_Candidate | Path | SceneError]:
+    def _one_each(
+        self, chosen: Sequence[_FileCandidate | Path | SceneError]
+    ) -> list[_FileCandidate | Path | SceneError]:
         """Return the choices with each file kept only for the one name that agrees with it best.
 
         The other names that chose it get a MissingPhotoError.
         """
-        claims: dict[Path, list[_Candidate]] = {}
+        claims: dict[Path, list[_FileCandidate]] = {}
         for item in chosen:
-            if isinstance(item, _Candidate):
+            if isinstance(item, _FileCandidate):
                 claims.setdefault(item.path, []).append(item)
         best = {path: max(item.rank for item in items) for path, items in claims.items()}
         alone = {path: sum(item.rank == best[path] for item in items) == 1 for path, items in claims.items()}
         return [
             MissingPhotoError(f"{self._names[number]} is missing")
-            if isinstance(item, _Candidate) and not (alone[item.path] and item.rank == best[item.path])
+            if isinstance(item, _FileCandidate) and not (alone[item.path] and item.rank == best[item.path])
             else item
             for number, item in enumerate(chosen)
         ]
@@ -235,7 +237,7 @@ class _Search:
         there = next((path.with_name(name) for name in names if path.with_name(name).is_file()), None)
         return there or in_any_case(self._folder.top, path.parent, names)
 
-    def _offers(self, name: str, taken: _Taken) -> list[_Candidate]:
+    def _offers(self, name: str, taken: _Taken) -> list[_FileCandidate]:
         """Return the best files for a name, equally good, below the root or else the top.
 
         Files that other names state are excluded. So are those in folders that hold other images of such photographs:
@@ -248,7 +250,7 @@ class _Search:
         best = max((offer.rank for offer in offers), default=None)
         return [offer for offer in offers if offer.rank == best]
 
-    def _candidate(self, path: Path, parts: Sequence[str]) -> _Candidate:
+    def _candidate(self, path: Path, parts: Sequence[str]) -> _FileCandidate:
         folders = path.relative_to(self._folder.top).parts[:-1]
         pairs = zip(reversed(folders), reversed(parts[:-1]), strict=False)
         agreeing = next((i for i, (mine, asked) in enumerate(pairs) if folded(mine) != asked), None)
@@ -257,11 +259,11 @@ class _Search:
         reduced = [reduction(folder) for folder in folders]
         plain = not any(_MAPS.search(folder) for folder in folders)
         same_name = parts[-1] in (folded(path.name), folded(path.stem))
-        return _Candidate(path, agreeing, same_name, plain, max(reduced, default=1))
+        return _FileCandidate(path, agreeing, same_name, plain, max(reduced, default=1))
 
     def _chosen(
-        self, number: int, stated: Path | None, offers: Sequence[_Candidate], bases: Counter[Path]
-    ) -> _Candidate | Path | SceneError:
+        self, number: int, stated: Path | None, offers: Sequence[_FileCandidate], bases: Counter[Path]
+    ) -> _FileCandidate | Path | SceneError:
         name = self._names[number]
         if isinstance(name, SceneError):
             return SceneError(f"{self._file}, photograph {number + 1}: {name}")

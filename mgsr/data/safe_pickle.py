@@ -108,7 +108,7 @@ class _Scalar(_Kept):
     """numpy's scalar: dtype and bytes."""
 
 
-class _Bytes(_Kept):
+class _LatinBytes(_Kept):
     """codecs.encode: bytes that protocol 2 writes as text of latin-1."""
 
 
@@ -121,7 +121,7 @@ _MADE = {
     ("numpy._core.multiarray", "scalar"): _Scalar,
     ("numpy.core.numeric", "_frombuffer"): _Buffer,
     ("numpy._core.numeric", "_frombuffer"): _Buffer,
-    ("_codecs", "encode"): _Bytes,
+    ("_codecs", "encode"): _LatinBytes,
 }
 
 
@@ -167,7 +167,7 @@ def _from_list(rows: list[Any] | tuple[Any, ...]) -> np.ndarray:
 
 def _from_bytes(dtype: Any, shape: Any, by_columns: bool, data: Any) -> np.ndarray:
     """Return an array of a shape, float64, from its raw bytes. Raises ValueError where their number is wrong."""
-    if isinstance(data, _Bytes):
+    if isinstance(data, _LatinBytes):
         data = data.arguments[0]
     content = data.encode("latin-1") if isinstance(data, str) else data
     if (

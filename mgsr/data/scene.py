@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,12 +14,14 @@ from mgsr.config import Background, DataConfig
 from mgsr.data.backdrop import BLACK, WHITE, Backdrop, Color, plain_backdrop
 from mgsr.data.camera import Camera
 
+Item = TypeVar("Item")
+
 PHOTOGRAPHS = 64  # views that suffice to examine a surface; more add little
 
 
 @dataclass(frozen=True)
 class View:
-    """One photograph with its camera.
+    """One photograph with its camera; `Photograph` adds the images that are derived from it.
 
     name: unique, without extension. image [H,W,3] uint8 sRGB, not premultiplied. alpha [H,W] uint8: 255 is the object;
     None without a mask. valid_mask [H,W] bool: the pixels that the photograph shows; None where it shows all. Image and
@@ -164,7 +167,7 @@ class Scene:
         return Backdrop(BLACK if kind is Background.BLACK else WHITE)
 
 
-def some_of(views: Sequence[View], most: int = PHOTOGRAPHS) -> list[View]:
-    """Return at most so many of the views, spread over all."""
+def some_of(views: Sequence[Item], most: int = PHOTOGRAPHS) -> list[Item]:
+    """Return at most so many of the views or photographs, spread over all."""
     chosen = np.unique(np.linspace(0, len(views) - 1, most).round().astype(int))
     return [views[index] for index in chosen]

@@ -13,7 +13,7 @@ _MOST_NAMED = 4
 
 
 @dataclass(frozen=True)
-class Shot:
+class PhotoFile:
     """A photograph. name: its path below the folder of photographs; size: width and height as it is stored."""
 
     name: str
@@ -22,10 +22,10 @@ class Shot:
 
 
 @dataclass(frozen=True)
-class Lens:
+class SharedLens:
     """Photographs that share a lens, at least one."""
 
-    shots: tuple[Shot, ...]
+    shots: tuple[PhotoFile, ...]
 
     @property
     def tags(self) -> CameraTags:
@@ -38,21 +38,21 @@ class Lens:
         return self.shots[0].size
 
 
-def share_lenses(shots: Sequence[Shot]) -> list[Lens]:
+def share_lenses(shots: Sequence[PhotoFile]) -> list[SharedLens]:
     """Group photographs by camera, in the order in which the cameras first appear.
 
     Photographs of one size and of equal EXIF (maker, model, lens, body, focal lengths, digital zoom) share a lens. The
     camera's orientation does not matter, as sizes refer to the stored pixels. Photographs without such EXIF (frames of
     videos, pictures from messengers) share one where size and folder are equal, as rigs have a folder for each camera.
     """
-    groups: dict[tuple[CameraTags, tuple[int, int], str], list[Shot]] = {}
+    groups: dict[tuple[CameraTags, tuple[int, int], str], list[PhotoFile]] = {}
     for shot in shots:
         folder = "" if shot.tags.known else str(PurePosixPath(shot.name).parent)
         groups.setdefault((shot.tags, shot.size, folder), []).append(shot)
-    return [Lens(tuple(group)) for group in groups.values()]
+    return [SharedLens(tuple(group)) for group in groups.values()]
 
 
-def describe_lenses(lenses: Sequence[Lens]) -> str:
+def describe_lenses(lenses: Sequence[SharedLens]) -> str:
     """Return a line for people on how many cameras there are, and which."""
     if len(lenses) == 1:
         return f"one camera: {_label(lenses[0])}"
@@ -61,12 +61,12 @@ def describe_lenses(lenses: Sequence[Lens]) -> str:
     return f"{len(lenses)} cameras: {'; '.join(named)}{more}"
 
 
-def _label(lens: Lens) -> str:
+def _label(lens: SharedLens) -> str:
     size = f"{lens.size[0]}x{lens.size[1]}"
     return f"{lens.tags.camera}, {size}" if lens.tags.camera else size
 
 
-def _detailed(lens: Lens) -> str:
+def _detailed(lens: SharedLens) -> str:
     """Return the lens's label with what distinguishes cameras of one name: the folder or the focal length."""
     folder = PurePosixPath(lens.shots[0].name).parent
     if not lens.tags.known and folder.name:

@@ -71,6 +71,6 @@ def _silhouette(view: View, mask: np.ndarray, max_side: int) -> Silhouette:
     camera, alpha, valid = view.camera, mask.astype(np.float32)[..., None], view.valid_mask
     shrink = max_side / max(camera.width, camera.height)
     if shrink < 1:
-        camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
+        camera = camera.scaled(shrink)
         alpha, valid = valid_mean(alpha, valid, lambda pixels: reduce_area(pixels, camera.width, camera.height))
     return Silhouette(camera, signed_distance(alpha[..., 0] / 255, valid), valid)

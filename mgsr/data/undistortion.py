@@ -56,7 +56,7 @@ class Undistortion:
 
 
 @dataclass(frozen=True)
-class _Photograph:
+class _DistortedImage:
     """A photograph's lens, K and size."""
 
     lens: AnyLens
@@ -66,7 +66,7 @@ class _Photograph:
 
 
 @dataclass(frozen=True)
-class _Frame:
+class _ImagePlane:
     """The part of the image plane that an image shows.
 
     Its pixels begin at (left, top), in the photograph's pixels, and are `step` of them apart.
@@ -86,7 +86,7 @@ def undistortion(lens: AnyLens, K: np.ndarray, width: int, height: int, source: 
     lens projects its ray into the photograph, before its polynomial folds back. K [3,3] is in pixels. Raises SceneError
     naming `source` if nothing is left.
     """
-    photograph = _Photograph(lens, K, width, height)
+    photograph = _DistortedImage(lens, K, width, height)
     frame = _frame(photograph)
     map_x, map_y = np.empty((2, frame.height, frame.width), np.float32)
     valid = np.empty((frame.height, frame.width), bool)
@@ -160,7 +160,7 @@ def _bands(height: int) -> Iterator[slice]:
     return (slice(start, min(start + _BAND, height)) for start in range(0, height, _BAND))
 
 
-def _frame(photograph: _Photograph) -> _Frame:
+def _frame(photograph: _DistortedImage) -> _ImagePlane:
     """Return the part of the image plane that the photograph shows, in whole pixels, found on a coarse sketch."""
     K = photograph.K
     lowest, highest = np.zeros(2), np.array([photograph.width, photograph.height])
@@ -169,19 +169,19 @@ def _frame(photograph: _Photograph) -> _Frame:
     step = max(1.0, float(reach.max()) * 2 / _SKETCH)
     left, top = (K[:2, 2] - reach).tolist()
     width, height = np.ceil(2 * reach / step).astype(int).tolist()
-    _, _, shown = _mapped(photograph, _Frame(left, top, width, height, step), slice(0, height))
+    _, _, shown = _mapped(photograph, _ImagePlane(left, top, width, height, step), slice(0, height))
     shown = _around((K[:2, 2] - (left, top)) / step, shown)
     rows, cols = (np.flatnonzero(shown.any(axis=axis)) for axis in (1, 0))
     if not len(rows):
-        return _Frame(0, 0, photograph.width, photograph.height)
+        return _ImagePlane(0, 0, photograph.width, photograph.height)
     # The valid region may extend up to one grid cell beyond the last valid cell centre.
     first = np.floor([left + (cols[0] - 0.5) * step, top + (rows[0] - 0.5) * step])
     last = np.ceil([left + (cols[-1] + 1.5) * step, top + (rows[-1] + 1.5) * step])
     size = (last - first).astype(int).tolist()
-    return _Frame(*first.tolist(), *size)
+    return _ImagePlane(*first.tolist(), *size)
 
 
-def _mapped(photograph: _Photograph, frame: _Frame, rows: slice) -> tuple[np.ndarray, ...]:
+def _mapped(photograph: _DistortedImage, frame: _ImagePlane, rows: slice) -> tuple[np.ndarray, ...]:
     """Return map_x and map_y [rows,width] of an `Undistortion`, and which of these pixels the photograph shows."""
     K, width, height = photograph.K, photograph.width, photograph.height
     (fx, fy), (cx, cy) = K.diagonal()[:2].tolist(), K[:2, 2].tolist()

@@ -24,12 +24,12 @@ WINDOW = 3  # side of the averaging window, pixels; averaging suppresses sensor 
 
 
 @dataclass(frozen=True)
-class RenderedView:
-    """A training view beside its rendering.
+class ViewResidual:
+    """The residual of a training view's rendering.
 
-    residual [H,W,3]: the photograph less the rendering, sRGB, on one background; base [H,W,3]:
-    the rendering of the Gaussians' own colours, without reflected light and under even light; depth [H,W]: camera z;
-    alpha [H,W]. Where the photograph is not valid, residual and alpha are 0.
+    residual [H,W,3]: the photograph less the rendering, sRGB, on one background; base [H,W,3]: the rendering of the
+    Gaussians' own colours, without reflected light and under even light; depth [H,W]: camera z; alpha [H,W]. Where the
+    photograph is not valid, residual and alpha are 0.
     """
 
     camera: Camera
@@ -57,7 +57,7 @@ class NewPoints:
         return NewPoints(self.positions[chosen], self.sizes[chosen], self.colors[chosen], self.residual[chosen])
 
 
-def visible_error(view: RenderedView, tolerance: float) -> Tensor:
+def visible_error(view: ViewResidual, tolerance: float) -> Tensor:
     """Return each pixel's visible error [H,W]: the locally averaged residual, in the mean over the channels.
 
     It is 0 where it is under the tolerance (sRGB 0..1) or no surface is rendered.
@@ -81,7 +81,7 @@ def planned_changes(error: Sequence[Tensor], count: int, config: GaussianDensify
 
 
 def new_points(
-    views: Sequence[RenderedView], error: Sequence[Tensor], count: int, generator: torch.Generator
+    views: Sequence[ViewResidual], error: Sequence[Tensor], count: int, generator: torch.Generator
 ) -> NewPoints:
     """Draw `count` different pixels of the views by their error, and return the surface points that they show.
 
@@ -100,7 +100,7 @@ def new_points(
     return NewPoints(*(torch.cat(tensors) for tensors in zip(*parts, strict=True)))
 
 
-def not_contradicted(points: NewPoints, views: Sequence[RenderedView]) -> NewPoints:
+def not_contradicted(points: NewPoints, views: Sequence[ViewResidual]) -> NewPoints:
     """Return the points whose residual agrees among the views that see them.
 
     Residuals of a highlight differ in sign between views, and those of noise do so half of the time.
@@ -111,7 +111,7 @@ def not_contradicted(points: NewPoints, views: Sequence[RenderedView]) -> NewPoi
     return points.rows(agreed > points.residual.square().sum(dim=1))
 
 
-def _agreement(points: NewPoints, view: RenderedView) -> Tensor:
+def _agreement(points: NewPoints, view: ViewResidual) -> Tensor:
     """Return the products [M] of the points' own residuals and this view's there; 0 where it does not see them."""
     intrinsics, pose = _matrices(view)
     height, width = view.depth.shape
@@ -124,13 +124,13 @@ def _agreement(points: NewPoints, view: RenderedView) -> Tensor:
     return (points.residual * view.residual.reshape(-1, 3)[pixel]).sum(dim=1) * seen
 
 
-def without_least_contributing(model: GaussianModel, views: Sequence[RenderedView], count: int) -> Tensor:
+def without_least_contributing(model: GaussianModel, views: Sequence[ViewResidual], count: int) -> Tensor:
     """Return ascending indices [N - count] int64 of all Gaussians but the `count` that contribute least."""
     light = contributions(model, [view.camera for view in views])
     return light.argsort(stable=True)[count:].sort().values
 
 
-def _lifted(view: RenderedView, pixels: Tensor) -> tuple[Tensor, ...]:
+def _lifted(view: ViewResidual, pixels: Tensor) -> tuple[Tensor, ...]:
     """Return the positions, sizes, colours and residuals of pixels [P], given as row x W + column."""
     width = view.depth.shape[1]
     intrinsics, pose = _matrices(view)
@@ -143,7 +143,7 @@ def _lifted(view: RenderedView, pixels: Tensor) -> tuple[Tensor, ...]:
     return (points - pose[:3, 3]) @ pose[:3, :3], depth / intrinsics[0, 0], colors, residual
 
 
-def _matrices(view: RenderedView) -> tuple[Tensor, Tensor]:
+def _matrices(view: ViewResidual) -> tuple[Tensor, Tensor]:
     """Return the camera's K [3,3] and cam_from_world [4,4] on the images' device."""
     camera = view.camera
     return torch.from_numpy(camera.K).to(view.depth), torch.from_numpy(camera.cam_from_world).to(view.depth)

@@ -27,11 +27,11 @@ class UpAxis(StrEnum):
 
 
 # The up direction in the mesh's frame: an axis by its name, or any direction [3] of length 1.
-Up = UpAxis | np.ndarray
+UpDirection = UpAxis | np.ndarray
 _DIRECTIONS = {UpAxis.Y: (0, 1, 0), UpAxis.Z: (0, 0, 1), UpAxis.MINUS_Y: (0, -1, 0), UpAxis.MINUS_Z: (0, 0, -1)}
 
 
-def glb(mesh: Mesh, attributes: Mapping[str, np.ndarray], up: Up, png: bytes | None = None) -> bytes:
+def glb(mesh: Mesh, attributes: Mapping[str, np.ndarray], up: UpDirection, png: bytes | None = None) -> bytes:
     """Return the bytes of a binary glTF file with one mesh.
 
     attributes: by glTF's names, arrays [V,n] of little-endian float32. png: the surface's colours, sRGB, by TEXCOORD_0.
@@ -97,7 +97,7 @@ def _picture(view: int) -> dict[str, Any]:
     }
 
 
-def _node_matrix(middle: np.ndarray, up: Up) -> list[float]:
+def _node_matrix(middle: np.ndarray, up: UpDirection) -> list[float]:
     """Return the node's matrix as 16 numbers in column-major order, as in glTF; middle [3]."""
     matrix = np.eye(4)
     matrix[:3, :3] = _turn_upright(up)
@@ -105,7 +105,7 @@ def _node_matrix(middle: np.ndarray, up: Up) -> list[float]:
     return [float(value) for value in matrix.T.ravel()]
 
 
-def _turn_upright(up: Up) -> np.ndarray:
+def _turn_upright(up: UpDirection) -> np.ndarray:
     """Return the shortest rotation [3,3] that takes `up` to y; the half turn about x where `up` points down.
 
     Source: Rodrigues' formula for the axis up x y, without the angle.

@@ -8,7 +8,7 @@ import numpy as np
 
 from mgsr.data.images import srgb_to_linear
 from mgsr.errors import MeshError
-from mgsr.export.gltf import Up, UpAxis, glb
+from mgsr.export.gltf import UpAxis, UpDirection, glb
 from mgsr.export.ply_notes import number_comments
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.precision import box, float_is_too_coarse
@@ -63,7 +63,7 @@ def _ply_header(vertex_count: int, face_count: int, real: str, unit: float) -> b
     return ("\n".join(lines) + "\n").encode("ascii")
 
 
-def write_glb(path: Path, mesh: Mesh, colors: np.ndarray, up: Up = UpAxis.Y) -> None:
+def write_glb(path: Path, mesh: Mesh, colors: np.ndarray, up: UpDirection = UpAxis.Y) -> None:
     """Write a mesh with vertex colours as binary glTF 2.0.
 
     colors [V,3] sRGB 0..1 are converted to linear, as glTF requires. They are stored as float32: 8 linear bits would
@@ -75,7 +75,9 @@ def write_glb(path: Path, mesh: Mesh, colors: np.ndarray, up: Up = UpAxis.Y) -> 
     path.write_bytes(glb(mesh, {"NORMAL": _unit(mesh.normals), "COLOR_0": linear}, up))
 
 
-def write_textured_glb(path: Path, mesh: Mesh, uvs: np.ndarray, picture: np.ndarray, up: Up = UpAxis.Y) -> None:
+def write_textured_glb(
+    path: Path, mesh: Mesh, uvs: np.ndarray, picture: np.ndarray, up: UpDirection = UpAxis.Y
+) -> None:
     """Write a mesh with a texture as binary glTF 2.0.
 
     uvs: [V,2] in 0..1 from the upper left corner of `picture` [H,W,3] uint8, sRGB as glTF wants it, stored without

@@ -20,21 +20,25 @@ from mgsr.errors import MgsrError, SceneError
 
 
 @dataclass(frozen=True)
-class RenderedView:
-    """One view's images, float; images that are None are not written.
+class Rendering:
+    """The images of one camera, float; each pixel is sampled at its centre.
 
-    color, transmitted and unlit [H,W,3]: sRGB 0..1, not premultiplied (`straight_color`). alpha [H,W] 0..1. reflected
-    [H,W,3] sRGB. weight [H,W] 0..1. depth [H,W]: camera z in the user's unit, 0 where nothing is. normal [H,W,3]: world
-    frame, of any length. whole [H,W,3]: sRGB, before the background of a found object.
+    color [H,W,3] sRGB 0..1, straight (not multiplied by alpha). alpha [H,W] 0..1. depth [H,W] camera z in the user's
+    unit, 0 where nothing is. normal [H,W,3] in the capture's axes and towards the camera, zeros where nothing is.
+    With a light split, color is transmitted + weight * reflected, then divided by alpha. transmitted [H,W,3], straight,
+    has no gloss; reflected [H,W,3] is sRGB, weight [H,W] 0..1. All three are None without a light split.
+    unlit [H,W,3]: the transmitted colour, or the only one, under even light; None where no flash is known. With a
+    flash, the other colours show the scene under a flash on this camera. whole [H,W,3]: sRGB, the object before its
+    background; None where no object was found.
     """
 
     color: np.ndarray
     alpha: np.ndarray
+    depth: np.ndarray
+    normal: np.ndarray
     transmitted: np.ndarray | None = None
     reflected: np.ndarray | None = None
     weight: np.ndarray | None = None
-    depth: np.ndarray | None = None
-    normal: np.ndarray | None = None
     unlit: np.ndarray | None = None
     whole: np.ndarray | None = None
 
@@ -54,13 +58,13 @@ def on_background(on_black: np.ndarray, alpha: np.ndarray, background: Color) ->
     return composited
 
 
-def write_view(folder: Path, name: str, view: RenderedView) -> list[Path]:
-    """Write a view's images as the module says, and return their paths.
+def write_view(folder: Path, name: str, view: Rendering) -> list[Path]:
+    """Write a view's images, except those that are None, as the module says, and return their paths.
 
-    name: the view's, without extension; folders in it are made. Raises SceneError for a name that leads outside.
+    view: its depth is in the files' unit; its normals may have any length. name: the view's, without extension; its
+    folders are made. Raises SceneError for a name that leads outside.
     """
     images: dict[str, np.ndarray] = {"": _rgba(view.color, view.alpha)}
-    notes: dict[str, str] = {}
     for suffix, color in (("_transmitted", view.transmitted), ("_even", view.unlit)):
         if color is not None:
             images[suffix] = _rgba(color, view.alpha)
@@ -70,14 +74,14 @@ def write_view(folder: Path, name: str, view: RenderedView) -> list[Path]:
         images["_reflected"] = _bytes(view.reflected)
     if view.weight is not None:
         images["_weight"] = _bytes(view.weight[..., None])
-    if view.depth is not None:
-        scale = float(view.depth.max()) / 65535 or 1.0
-        images["_depth"] = np.rint(view.depth / scale).astype(np.uint16)[..., None]
-        notes["_depth"] = repr(scale)
-    if view.normal is not None:
-        lengths = np.linalg.norm(view.normal, axis=-1, keepdims=True)
-        images["_normal"] = _rgba((view.normal / np.maximum(lengths, 1e-9) + 1) / 2, view.alpha)
-    return [_write(_path(folder, name + suffix), image, notes.get(suffix)) for suffix, image in images.items()]
+    scale = float(view.depth.max()) / 65535 or 1.0
+    images["_depth"] = np.rint(view.depth / scale).astype(np.uint16)[..., None]
+    lengths = np.linalg.norm(view.normal, axis=-1, keepdims=True)
+    images["_normal"] = _rgba((view.normal / np.maximum(lengths, 1e-9) + 1) / 2, view.alpha)
+    return [
+        _write(_path(folder, name + suffix), image, repr(scale) if suffix == "_depth" else None)
+        for suffix, image in images.items()
+    ]
 
 
 def _path(folder: Path, name: str) -> Path:

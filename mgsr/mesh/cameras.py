@@ -19,10 +19,7 @@ def surface_cameras(train_cameras: Sequence[Camera], config: MeshConfig) -> list
     cameras = [*train_cameras, *between(train_cameras, config.extra_views)]
     pixels = sum(camera.width * camera.height for camera in cameras)
     scale = min(config.view_scale, (config.max_pixels / max(pixels, 1)) ** 0.5)
-    return [
-        camera.resized(max(16, round(camera.width * scale)), max(16, round(camera.height * scale)))
-        for camera in cameras
-    ]
+    return [camera.scaled(scale, least=16) for camera in cameras]
 
 
 def between(cameras: Sequence[Camera], count: int) -> list[Camera]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -16,29 +17,58 @@ from mgsr.metrics.image import image_metrics, psnr
 from mgsr.metrics.split import SplitScore, mean_split, split_score
 from mgsr.metrics.surface import normal_metrics, surface_metrics
 from mgsr.metrics.truth import TrueSurface, load_truth
-from mgsr.pipeline.rendering import ViewImages
+from mgsr.pipeline.rendering import RenderedView
+from mgsr.report.data import SplitFacts
 
 # A scene's test views without any specular light, by the views' names.
 MATTE_FOLDER = "test_matte"
 
 
-def image_scores(rendered: Sequence[ViewImages], scene: Scene, background: Color = WHITE) -> dict[str, Any]:
-    """Score the test renders against the photographs, over all pixels that the photographs show.
+@dataclass(frozen=True)
+class ImageScores:
+    """The scores of the test renders against the photographs, over all pixels that the photographs show.
 
-    psnr_test and ssim_test are on the background, None without test views. psnr_fg_test and psnr_fg_gain_test are
-    present where there are masks. psnr_whole_test is present where renders have a background; it compares them with the
-    whole photographs. views: each view's values. split is present where the scene has matte test views.
+    psnr_test and ssim_test are on the background, None without test views. psnr_fg_test and psnr_fg_gain_test are on
+    the object's pixels, None without masks. psnr_whole_test compares renders before the background of a found object
+    with the whole photographs, None without such a background. views: each view's values. split: None without matte
+    test views.
     """
+
+    psnr_test: float | None
+    ssim_test: float | None
+    psnr_fg_test: float | None
+    psnr_fg_gain_test: float | None
+    psnr_whole_test: float | None
+    views: dict[str, dict[str, float]]
+    split: SplitFacts | None
+
+    @property
+    def optional(self) -> dict[str, Any]:
+        """Return all but psnr_test and ssim_test, where they exist, by name."""
+        names = ("psnr_fg_test", "psnr_fg_gain_test", "psnr_whole_test", "views", "split")
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the scores that exist, by name, as plain types; psnr_test and ssim_test in any case."""
+        split = {} if self.split is None else {"split": asdict(self.split)}
+        return {"psnr_test": self.psnr_test, "ssim_test": self.ssim_test} | self.optional | split
+
+
+def image_scores(rendered: Sequence[RenderedView], scene: Scene, background: Color = WHITE) -> ImageScores:
+    """Score the test renders against the photographs. background: the colour behind views without masks."""
     views = {
         image.name: image_metrics(photograph(view), rendering(image), view.valid_mask, background) | _whole(image, view)
         for image, view in zip(rendered, scene.test, strict=True)
     }
-    scores: dict[str, Any] = {"psnr_test": _mean(views, "psnr"), "ssim_test": _mean(views, "ssim")}
-    for name in ("psnr_fg", "psnr_fg_gain", "psnr_whole"):
-        if (value := _mean(views, name)) is not None:
-            scores[f"{name}_test"] = value
-    split = _split(rendered, scene)
-    return scores | {"views": views} | ({} if split is None else {"split": split})
+    return ImageScores(
+        psnr_test=_mean(views, "psnr"),
+        ssim_test=_mean(views, "ssim"),
+        psnr_fg_test=_mean(views, "psnr_fg"),
+        psnr_fg_gain_test=_mean(views, "psnr_fg_gain"),
+        psnr_whole_test=_mean(views, "psnr_whole"),
+        views=views,
+        split=_split(rendered, scene),
+    )
 
 
 def find_truth(scene: Scene) -> TrueSurface | None:
@@ -47,15 +77,15 @@ def find_truth(scene: Scene) -> TrueSurface | None:
     return load_truth(scene.root, [to_user(view.camera) for view in scene.train])
 
 
-def surface_scores(mesh: ReconstructedMesh, truth: TrueSurface | None, scene: Scene) -> dict[str, Any]:
-    """Score a mesh of the user's frame against the truth, as {"gt": scores}; None in their place without a truth."""
+def surface_scores(mesh: ReconstructedMesh, truth: TrueSurface | None, scene: Scene) -> dict[str, float] | None:
+    """Return the scores, by name, of a mesh of the user's frame against the truth; None without a truth."""
     if truth is None:
-        return {"gt": None}
+        return None
     scores = surface_metrics(mesh, truth)
     if scene.test:
         cameras = [scene.user_from_scene.camera_to_user(view.camera) for view in scene.test]
         scores |= normal_metrics(mesh, truth, cameras)
-    return {"gt": scores}
+    return scores
 
 
 def photograph(view: View) -> np.ndarray:
@@ -63,19 +93,19 @@ def photograph(view: View) -> np.ndarray:
     return view.image if view.alpha is None else np.dstack([view.image, view.alpha])
 
 
-def rendering(image: ViewImages) -> np.ndarray:
+def rendering(image: RenderedView) -> np.ndarray:
     """Return an image as float32 [H,W,4] with straight alpha."""
     return np.dstack([straight_color(image.color, image.alpha), np.clip(image.alpha, 0, 1)])
 
 
-def _whole(image: ViewImages, view: View) -> dict[str, float]:
+def _whole(image: RenderedView, view: View) -> dict[str, float]:
     """Score a render with its background against the whole photograph; empty without a background."""
     if image.whole is None:
         return {}
     return {"psnr_whole": psnr(view.image / 255, np.clip(image.whole, 0, 1), view.valid_mask)}
 
 
-def _split(rendered: Sequence[ViewImages], scene: Scene) -> dict[str, float] | None:
+def _split(rendered: Sequence[RenderedView], scene: Scene) -> SplitFacts | None:
     scores = []
     for image, view in zip(rendered, scene.test, strict=True):
         score = _split_view(image, view, scene)
@@ -84,10 +114,10 @@ def _split(rendered: Sequence[ViewImages], scene: Scene) -> dict[str, float] | N
     if not scores:
         return None
     mean = mean_split(scores)
-    return {"split_psnr": mean.split_psnr, "split_photo": mean.split_photo, "split_gain": mean.split_gain}
+    return SplitFacts(mean.split_psnr, mean.split_photo, mean.split_gain)
 
 
-def _split_view(image: ViewImages, view: View, scene: Scene) -> SplitScore | None:
+def _split_view(image: RenderedView, view: View, scene: Scene) -> SplitScore | None:
     """Score the light split of a view.
 
     Returns None without a light split or without a matte picture of the view's size. It also returns None where the

@@ -2,50 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from mgsr.data.camera import Camera
 from mgsr.data.scene import View
 from mgsr.errors import ConfigError, TensorError
+from mgsr.export.renders import Rendering
 from mgsr.pipeline.reconstruction import Reconstruction
 from mgsr.pipeline.rendering import render_camera
-from mgsr.pipeline.result_files import straight_view
 
 # How far a pose's rotation may be from one: files keep seven digits.
 _RIGID = 1e-4
-
-
-@dataclass(frozen=True)
-class Rendering:
-    """The images of one camera, float32; each pixel is sampled at its centre.
-
-    color [H,W,3] sRGB 0..1, straight (not multiplied by alpha). alpha [H,W] 0..1. depth [H,W] camera z in the capture's
-    unit, 0 where nothing is. normal [H,W,3] unit, in the capture's axes and towards the camera, zeros where nothing is.
-    With a light split, color is transmitted + weight * reflected, then divided by alpha. transmitted [H,W,3], straight,
-    has no gloss; reflected [H,W,3] is sRGB, weight [H,W] 0..1. All three are None without a light split.
-    unlit [H,W,3]: the transmitted colour, or the only one, under even light; None where no flash is known. With a
-    flash, the other colours show the scene under a flash on this camera. whole [H,W,3]: sRGB, the object before its
-    background; None where no object was found.
-    """
-
-    color: np.ndarray
-    alpha: np.ndarray
-    depth: np.ndarray
-    normal: np.ndarray
-    transmitted: np.ndarray | None = None
-    reflected: np.ndarray | None = None
-    weight: np.ndarray | None = None
-    unlit: np.ndarray | None = None
-    whole: np.ndarray | None = None
 
 
 def render(result: Reconstruction, camera: Camera | View) -> Rendering:
     """Render the splats of a reconstruction on the device where they are (see `Reconstruction.to`).
 
     camera: a camera in the capture's frame and unit, at any size, or a View of the reconstructed scene. A View is
-    rendered as its photograph was taken; its camera is in the scene's normalised frame.
+    rendered as its photograph was taken; its camera is in the scene's normalised frame. The images are float32, depth
+    is in the capture's unit, and normals are unit vectors.
 
     Raises ConfigError for another kind of argument and for a View where an object was found, and TensorError for an
     invalid camera: a pose that is not rigid, numbers that are not finite, an empty image.
@@ -66,18 +43,8 @@ def render(result: Reconstruction, camera: Camera | View) -> Rendering:
     flash = result.normalised_flash
     shading = None if flash is None else flash.seen_by(seen_by)
     images = render_camera(result.normalised_model, seen_by, result.surface_depth, shading)
-    shown = straight_view(images, result.normalisation.scale)
-    return Rendering(
-        color=shown.color.astype(np.float32),
-        alpha=images.alpha,
-        depth=(images.depth * result.normalisation.scale).astype(np.float32),
-        normal=_unit(images.normal),
-        transmitted=_float32(shown.transmitted),
-        reflected=shown.reflected,
-        weight=shown.weight,
-        unlit=_float32(shown.unlit),
-        whole=None if shown.whole is None else np.clip(shown.whole, 0, 1),
-    )
+    shown = images.straight(result.normalisation.scale)
+    return replace(shown, depth=shown.depth.astype(np.float32), normal=_unit(images.normal))
 
 
 def _checked(camera: Camera) -> Camera:
@@ -100,7 +67,3 @@ def _checked(camera: Camera) -> Camera:
 def _unit(normal: np.ndarray) -> np.ndarray:
     lengths = np.linalg.norm(normal, axis=-1, keepdims=True)
     return np.where(lengths > 0, normal / np.maximum(lengths, 1e-12), 0).astype(np.float32)
-
-
-def _float32(image: np.ndarray | None) -> np.ndarray | None:
-    return None if image is None else image.astype(np.float32)

@@ -25,7 +25,8 @@ from mgsr.pipeline.steps import Steps
 from mgsr.pipeline.time_budget import most_points, searches_object
 from mgsr.segmentation.object_masks import FoundObject, NoObject, find_object
 from mgsr.shading.lighting import Lighting, lit_scene
-from mgsr.start.starting_points import StartingPoints, starting_points
+from mgsr.start.points import StartingPoints
+from mgsr.start.starting_points import starting_points
 from mgsr.training.background import train_background
 from mgsr.training.exposure import find_exposures
 from mgsr.training.outlines import learned_outlines

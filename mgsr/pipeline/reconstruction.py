@@ -90,7 +90,7 @@ class Reconstruction:
     @property
     def surface_depth(self) -> SurfaceDepth:
         """Which depth of the surfels is the surface."""
-        return SurfaceDepth(self.report.other["settings"]["train"]["paper"]["surface_depth"])
+        return SurfaceDepth((self.report.settings or {})["train"]["paper"]["surface_depth"])
 
 
 def reconstruct(
@@ -148,17 +148,18 @@ def load_result(out: str | os.PathLike[str]) -> Reconstruction:
     folder = _path("out", out)
     report = read_report(folder)
     try:
-        unit = float(report.other["settings"]["output"]["scale"])
-        frame = report.other["input"]["user_from_scene"]
-        normalisation = Similarity(frame["scale"] / unit, np.array(frame["offset"], np.float64) / unit)
-        start_kept = report.other["start_kept"]
-        steps = {name: StepReport(**step) for name, step in report.other["mesh_steps"].items()}
-        light = LightKind(report.other["light"])
+        if report.input is None or report.light is None or report.start_kept is None or report.mesh_steps is None:
+            raise KeyError("input, light, start_kept or mesh_steps")
+        unit = float((report.settings or {})["output"]["scale"])
+        frame = report.input.user_from_scene
+        normalisation = Similarity(frame.scale / unit, np.array(frame.offset, np.float64) / unit)
+        steps = {name: StepReport(**vars(step)) for name, step in report.mesh_steps.items()}
+        light = LightKind(report.light)
     except (LookupError, TypeError, ValueError) as error:
         raise MgsrError(f"{folder}: its report is of another version ({in_short(error)}); run again") from error
     origin = origin_of_frame(normalisation)
     return Reconstruction(
-        mesh=read_mesh(folder).with_report(light, start_kept, steps),
+        mesh=read_mesh(folder).with_report(light, report.start_kept, steps),
         model=read_models(folder, Similarity(offset=origin)),
         flash=read_lighting(folder),
         report=report,

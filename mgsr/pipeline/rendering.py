@@ -16,7 +16,7 @@ from mgsr.data.images import to_uint8
 from mgsr.data.masks import leave_borders_free, with_masks
 from mgsr.data.scene import Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
-from mgsr.export.renders import on_background, straight_color
+from mgsr.export.renders import Rendering, on_background, straight_color
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.mesh.cameras import surface_cameras
 from mgsr.mesh.views import SurfaceView
@@ -31,7 +31,7 @@ MASK_SIDE = 800
 
 
 @dataclass(frozen=True)
-class ViewImages:
+class RenderedView:
     """One camera's images, float32, rendered over black, so colours are premultiplied by alpha.
 
     color [H,W,3]; alpha [H,W]; depth [H,W] camera z in the scene's unit, 0 where nothing is; normal [H,W,3] world
@@ -52,8 +52,18 @@ class ViewImages:
     unlit: np.ndarray | None = None
     whole: np.ndarray | None = None
 
+    def straight(self, unit: float) -> Rendering:
+        """Return the images with straight colours, and depth in another unit; `unit` converts from the scene's."""
+        color = straight_color(self.color, self.alpha)
+        transmitted, unlit = (
+            None if each is None else straight_color(each, self.alpha) for each in (self.transmitted, self.unlit)
+        )
+        light = (transmitted, self.reflected, self.weight, unlit)
+        whole = None if self.whole is None else np.clip(self.whole, 0, 1)
+        return Rendering(color, self.alpha, self.depth * unit, self.normal, *light, whole)
 
-def render_views(model: TrainedModel, views: Sequence[View], config: Config) -> Iterator[ViewImages]:
+
+def render_views(model: TrainedModel, views: Sequence[View], config: Config) -> Iterator[RenderedView]:
     """Render each view's camera with the branches, one after the other.
 
     Colours are the 3D branch's where there is one, depth and normal the 2D branch's where there is one.
@@ -65,7 +75,7 @@ def render_views(model: TrainedModel, views: Sequence[View], config: Config) -> 
 @torch.no_grad()
 def render_camera(
     model: TrainedModel, camera: Camera, depth: SurfaceDepth, shading: np.ndarray | None = None, name: str = ""
-) -> ViewImages:
+) -> RenderedView:
     """Render the branches from any camera in their frame.
 
     depth: which of the 2D branch's depths is the surface; shading [H,W] uint8: the flash's shading of the view (see
@@ -80,7 +90,7 @@ def render_camera(
 
 def _render_object(
     model: TrainedModel, camera: Camera, depth: SurfaceDepth, shading: np.ndarray | None, name: str
-) -> ViewImages:
+) -> RenderedView:
     """Render the branches, without a background; the arguments are those of `render_camera`."""
     light = None if shading is None else torch.from_numpy(shading).to(model.device) / 255
     flat, full = _see(model, camera, depth=True, shading=light)
@@ -88,11 +98,11 @@ def _render_object(
     if full is None:
         assert flat is not None
         unlit = None if flat.unlit is None else _numpy(flat.unlit)
-        return ViewImages(name, camera, _numpy(flat.color), _numpy(flat.alpha), *images, unlit=unlit)
+        return RenderedView(name, camera, _numpy(flat.color), _numpy(flat.alpha), *images, unlit=unlit)
     transmitted = None if full.reflected is None else full.transmitted
     lights = (transmitted, full.reflected, full.weight, full.unlit)
     shown = (_numpy(full.color), _numpy(full.alpha), *images)
-    return ViewImages(name, camera, *shown, *(None if each is None else _numpy(each) for each in lights))
+    return RenderedView(name, camera, *shown, *(None if each is None else _numpy(each) for each in lights))
 
 
 def surface_views(model: TrainedModel, scene: Scene, config: Config) -> list[SurfaceView]:

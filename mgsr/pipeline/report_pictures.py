@@ -14,7 +14,7 @@ from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline.evaluation import photograph
-from mgsr.pipeline.rendering import ViewImages
+from mgsr.pipeline.rendering import RenderedView
 from mgsr.report.environment_map import environment_map_pictures
 from mgsr.report.html import MOST_VIEWS
 from mgsr.report.pictures import (
@@ -56,7 +56,7 @@ def draw_surface(mesh: ReconstructedMesh, truth: TrueSurface | None, scene: Scen
 
 
 def report_pictures(
-    rendered: Sequence[ViewImages],
+    rendered: Sequence[RenderedView],
     psnr: Sequence[float],
     drawn: SurfaceDrawings,
     scene: Scene,
@@ -105,7 +105,7 @@ def _shown(view: View) -> np.ndarray:
 
 
 def _view_pictures(
-    images: ViewImages, view: View, psnr: float, shaded: np.ndarray, background: Color
+    images: RenderedView, view: View, psnr: float, shaded: np.ndarray, background: Color
 ) -> TestViewPictures:
     reflected = None
     if images.reflected is not None and images.weight is not None:

@@ -18,12 +18,11 @@ from mgsr.errors import MgsrError, in_short
 from mgsr.export.environment_map import StoredEnvironmentMap, load_environment_map, write_environment_map
 from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.export.flash import load_flash, write_flash
-from mgsr.export.gltf import Up as UpDirection
-from mgsr.export.gltf import UpAxis
+from mgsr.export.gltf import UpAxis, UpDirection
 from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
 from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number, read_origin
-from mgsr.export.renders import RenderedView, straight_color, write_view
+from mgsr.export.renders import write_view
 from mgsr.export.splats import load_splats, write_splats
 from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.gaussians.gaussians import GaussianModel
@@ -32,7 +31,7 @@ from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.atomic_write import atomic_write
-from mgsr.pipeline.rendering import ViewImages
+from mgsr.pipeline.rendering import RenderedView
 from mgsr.pipeline.result_paths import (
     BACKGROUND,
     ENVIRONMENT_MAP,
@@ -241,7 +240,7 @@ def read_mesh(out: Path) -> ReconstructedMesh:
     return ReconstructedMesh(vertices, np.asarray(mesh.faces, np.int64), colors).with_normals(normals)
 
 
-def write_renders(out: Path, rendered: Sequence[ViewImages], scene: Scene, output: OutputConfig) -> None:
+def write_renders(out: Path, rendered: Sequence[RenderedView], scene: Scene, output: OutputConfig) -> None:
     """Write renders/test with all pictures of each test view (see mgsr/export/renders.py).
 
     Depths are in the output's unit.
@@ -249,7 +248,7 @@ def write_renders(out: Path, rendered: Sequence[ViewImages], scene: Scene, outpu
     with atomic_write(out / RENDERS) as folder:
         folder.mkdir()
         for view in rendered:
-            write_view(folder, view.name, straight_view(view, scene.user_from_scene.scale * output.scale))
+            write_view(folder, view.name, view.straight(scene.user_from_scene.scale * output.scale))
 
 
 def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> None:
@@ -259,16 +258,6 @@ def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> No
         write_report_html(path, report, pictures)
     with atomic_write(out / REPORT) as path:
         path.write_text(json.dumps(report.to_json(), indent=2) + "\n", encoding="utf-8")
-
-
-def straight_view(view: ViewImages, unit: float) -> RenderedView:
-    """Return a view's images with straight colours, and depth in the files' unit; `unit` converts from the scene's."""
-    transmitted, unlit = (
-        None if color is None else straight_color(color, view.alpha) for color in (view.transmitted, view.unlit)
-    )
-    color = straight_color(view.color, view.alpha)
-    light = (transmitted, view.reflected, view.weight)
-    return RenderedView(color, view.alpha, *light, view.depth * unit, view.normal, unlit, view.whole)
 
 
 def read_report(out: Path) -> ReportData:

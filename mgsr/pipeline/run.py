@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from mgsr.budget.budget import TimeBudget
 from mgsr.config import Config
@@ -28,9 +27,9 @@ from mgsr.pipeline.report_pictures import SurfaceDrawings, draw_surface, report_
 from mgsr.pipeline.result_paths import CHECKPOINT, REPORT
 from mgsr.pipeline.run_metadata import run_report
 from mgsr.pipeline.steps import StepClock, Steps, StopCheck, always, never
-from mgsr.pipeline.time_budget import budget_report, fitted_scene, make_budget, plan_line, planned_config
+from mgsr.pipeline.time_budget import budget_facts, fitted_scene, make_budget, plan_line, planned_config
 from mgsr.report.data import ReportData
-from mgsr.start.starting_points import StartingPoints
+from mgsr.start.points import StartingPoints
 from mgsr.training.progress import TrainResult
 from mgsr.training.run import Training
 
@@ -71,7 +70,7 @@ def run_scene(
             config = planned_config(scene, start, budget, config, chosen, step.clock)
         progress(Event("plan", f"time budget of {plan_line(budget)}"))
     run = _Run(scene, start, config, out, step, chosen, budget)
-    training = _Training(run, resume)
+    training = _TrainingStep(run, resume)
     trained = training.run(before_surface=True)
     if budget is not None:
         run = replace(run, config=replace(config, mesh=budget.mesh_settings()))
@@ -100,7 +99,7 @@ def train_only(
     step = Steps(StepClock(), progress, should_stop)
     scene = take_scene(scene_path, out, config, step)
     scene, start = preprocess(scene, config, out, step)
-    return _Training(_Run(scene, start, config, out, step, chosen), resume).run(before_surface=True)
+    return _TrainingStep(_Run(scene, start, config, out, step, chosen), resume).run(before_surface=True)
 
 
 @dataclass(frozen=True)
@@ -123,10 +122,10 @@ class _Run:
 
 @dataclass(frozen=True)
 class _Surface:
-    """The mesh in the user's frame, its scores, and its pictures for the report."""
+    """The mesh in the user's frame, its scores against the truth, if there is one, and its pictures for the report."""
 
     mesh: ReconstructedMesh
-    scores: dict[str, Any]
+    scores: dict[str, float] | None
     drawn: SurfaceDrawings
 
 
@@ -142,7 +141,7 @@ def _make_surface(run: _Run, trained: TrainResult) -> _Surface:
         return _Surface(mesh, surface_scores(mesh, truth, run.scene), _draw(mesh, truth, run.scene))
 
 
-def _set_reflector(run: _Run, training: _Training, trained: TrainResult, mesh: ReconstructedMesh) -> bool:
+def _set_reflector(run: _Run, training: _TrainingStep, trained: TrainResult, mesh: ReconstructedMesh) -> bool:
     """Let the finished mesh reflect the environment map, where that is of use; return whether the map is to be learned
     anew for it."""
     # With a mesh of few faces, or too little time to relearn the map, reflections would be worse than the splats'.
@@ -154,18 +153,19 @@ def _set_reflector(run: _Run, training: _Training, trained: TrainResult, mesh: R
 
 def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
     """Render and measure the test views, and write the report; return its path."""
-    scene, scores, clock = run.scene, surface.scores, run.step.clock
+    scene, clock = run.scene, run.step.clock
     with run.step("render", f"rendering and measuring {len(scene.test)} test views"):
         rendered = list(render_views(run.model(trained), scene.test, run.config))
         result_files.write_renders(run.out, rendered, scene, run.config.output)
         behind = scene.backdrop(run.config.train.background).color
-        scores = scores | image_scores(rendered, scene, behind)
+        scores = image_scores(rendered, scene, behind)
     with run.step("report", "writing the report"):
-        psnr = [view["psnr"] for view in scores["views"].values()]
+        psnr = [view["psnr"] for view in scores.views.values()]
         maps, agreement = trained.model.environment_map, mask_agreement(run.out)
         pictures = report_pictures(rendered, psnr, surface.drawn, scene, maps, behind, agreement)
-    budget = None if run.budget is None else budget_report(run.budget, clock.steps)
-    report = run_report(scene, run.start, run.config, run.device, trained, surface.mesh, scores, clock, budget)
+    budget = None if run.budget is None else budget_facts(run.budget, clock.steps)
+    given = (scene, run.start, run.config, run.device)
+    report = run_report(*given, trained, surface.mesh, scores, surface.scores, clock, budget)
     result_files.write_reports(run.out, report, pictures)
     run.step.progress(Event("report", result_line(report)))
     return run.out / REPORT
@@ -186,13 +186,14 @@ def result_line(report: ReportData) -> str:
     parts = [f"done in {report.seconds['total']:.1f} s"]
     if report.mesh is not None:
         parts.append(f"mesh of {report.mesh.faces} faces")
-    if report.psnr_test is not None:
-        parts.append(f"PSNR {report.psnr_test:.2f} dB on {len(report.other['input']['test_views'])} test views")
-    warning = report.other["input"].get("warning")
+    given = report.input
+    if report.psnr_test is not None and given is not None:
+        parts.append(f"PSNR {report.psnr_test:.2f} dB on {len(given.test_views)} test views")
+    warning = None if given is None else given.warning
     return ", ".join(parts) + (f"; {warning}" if warning else "")
 
 
-class _Training:
+class _TrainingStep:
     """Training as a step of the run, which may have two parts: before and after the surface. The branches are also
     written as splats; `out`/checkpoint holds them on the way and at the end."""
 

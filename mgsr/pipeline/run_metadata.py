@@ -7,10 +7,9 @@ import platform
 import resource
 import shlex
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 import mgsr
 from mgsr.config import Config
@@ -20,9 +19,23 @@ from mgsr.geometry.triangles import topology
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.native.runtime import isas
 from mgsr.pipeline.device import Device
+from mgsr.pipeline.evaluation import ImageScores
 from mgsr.pipeline.steps import StepClock
-from mgsr.report.data import CurvePoint, MeshFacts, ReportData, StageRun
-from mgsr.start.starting_points import StartingPoints
+from mgsr.report.data import (
+    BudgetFacts,
+    CurvePoint,
+    FlashFacts,
+    FrameFacts,
+    InputFacts,
+    MachineFacts,
+    MeshFacts,
+    MeshStepRun,
+    ReportData,
+    Selection,
+    StageRun,
+    StartFacts,
+)
+from mgsr.start.points import StartingPoints
 from mgsr.training.progress import TrainResult
 
 PACKAGES = ("torch", "numpy", "scipy", "OpenImageIO", "open3d-cpu", "open3d")
@@ -37,16 +50,13 @@ def run_report(
     device: Device,
     trained: TrainResult,
     mesh: ReconstructedMesh,
-    scores: dict[str, Any],
+    scores: ImageScores,
+    gt: dict[str, float] | None,
     clock: StepClock,
-    time_budget: dict[str, Any] | None = None,
+    time_budget: BudgetFacts | None = None,
 ) -> ReportData:
-    """Build the content of report.json.
-
-    scores: psnr_test, ssim_test, gt and any other measurements.
-    """
-    known = {name: scores[name] for name in ("psnr_test", "ssim_test", "gt")}
-    counts = topology(mesh)
+    """Build the content of report.json. gt: the scores of the mesh against the true surface."""
+    model = trained.model
     return ReportData(
         scene=scene.name,
         preset=config.preset,
@@ -58,57 +68,52 @@ def run_report(
         iterations={
             stage.name: StageRun(stage.iterations, stage.stop_reason, stage.dropped) for stage in trained.stages
         },
-        gaussians=trained.model.counts,
+        gaussians=model.counts,
+        psnr_test=scores.psnr_test,
+        ssim_test=scores.ssim_test,
         curve=[CurvePoint(psnr=row.psnr, **asdict(row)) for row in trained.curve],
-        mesh=MeshFacts(**asdict(counts)),
+        mesh=MeshFacts(**asdict(topology(mesh))),
+        gt=gt,
         peak_memory_mib=peak_memory_mib(),
         command=_command(),
-        other={
-            "input": _input(scene, start, config.output.scale),
-            "light": str(mesh.light),
-            "start_kept": mesh.start_kept,
-            "mesh_steps": {name: asdict(step) for name, step in mesh.steps.items()},
-            "reflection": {"chosen": trained.model.reflection, "tried": trained.tried},
-            "sh_degree": {
-                "chosen": None if trained.model.gaussians is None else trained.model.gaussians.sh_degree,
-                "tried": {str(degree): psnr for degree, psnr in trained.degrees.items()},
-            },
-            "settings": asdict(config),
-            "machine": _machine(),
-        }
-        | ({} if time_budget is None else {"time_budget": time_budget})
-        | {name: value for name, value in scores.items() if name not in known},
-        **known,
+        input=_input(scene, start, config.output.scale),
+        light=str(mesh.light),
+        start_kept=mesh.start_kept,
+        mesh_steps={
+            name: MeshStepRun(step.seconds, step.faces, dict(step.outcome)) for name, step in mesh.steps.items()
+        },
+        reflection=Selection(model.reflection, trained.tried),
+        sh_degree=Selection(
+            None if model.gaussians is None else model.gaussians.sh_degree,
+            {str(degree): psnr for degree, psnr in trained.degrees.items()},
+        ),
+        settings=asdict(config),
+        machine=_machine(),
+        time_budget=time_budget,
+        **scores.optional,
     )
 
 
-def scene_facts(scene: Scene, unit: float = 1.0) -> dict[str, Any]:
-    """Return the facts of the scene: format, views, sizes, masks, points, and the transform to the user's frame.
-
-    splats_origin: the origin of positions in splat files, where the frame's own lies far away; shown: the share of
-    valid pixels, where not all are valid; backdrop: the colour, sRGB 0..1, of a plain backdrop behind photographs
-    without masks. unit: the factor on lengths.
-    """
+def scene_facts(scene: Scene, unit: float = 1.0) -> InputFacts:
+    """Return the facts of the scene. unit: the factor on lengths."""
     camera, frame = scene.train[0].camera, scene.user_from_scene
     shown, plain = shown_share(scene), scene.plain_backdrop
     origin, notes = origin_of_frame(frame, unit), [*scene.notes, *origin_notes(frame, unit)]
-    return (
-        {
-            "path": str(scene.source or scene.root),
-            "format": scene.format,
-            "train_views": [view.name for view in scene.train],
-            "test_views": [view.name for view in scene.test],
-            "image_size": [camera.width, camera.height],
-            "masked": scene.masked,
-            "points": 0 if scene.points is None else len(scene.points.positions),
-            "user_from_scene": {"scale": float(frame.scale * unit), "offset": [float(x) * unit for x in frame.offset]},
-        }
-        | ({"splats_origin": origin.tolist()} if origin.any() else {})
-        | ({"shown": round(shown, 4)} if shown < 1 else {})
-        | ({} if plain is None else {"backdrop": [round(value, 3) for value in plain]})
-        | ({} if scene.exposures is None else {"exposures": round(scene.exposures.largest_difference, 3)})
-        | ({"notes": notes} if notes else {})
-        | ({} if scene.warning is None else {"warning": scene.warning})
+    return InputFacts(
+        path=str(scene.source or scene.root),
+        format=scene.format,
+        train_views=[view.name for view in scene.train],
+        test_views=[view.name for view in scene.test],
+        image_size=[camera.width, camera.height],
+        masked=scene.masked,
+        points=0 if scene.points is None else len(scene.points.positions),
+        user_from_scene=FrameFacts(float(frame.scale * unit), [float(x) * unit for x in frame.offset]),
+        splats_origin=origin.tolist() if origin.any() else None,
+        shown=round(shown, 4) if shown < 1 else None,
+        backdrop=None if plain is None else [round(value, 3) for value in plain],
+        exposures=None if scene.exposures is None else round(scene.exposures.largest_difference, 3),
+        notes=notes or None,
+        warning=scene.warning,
     )
 
 
@@ -119,14 +124,14 @@ def shown_share(scene: Scene) -> float:
     return 1 - unknown / max(pixels, 1)
 
 
-def _input(scene: Scene, start: StartingPoints, unit: float) -> dict[str, Any]:
-    starting_points = {"source": str(start.source), "count": len(start.positions)}
-    facts = scene_facts(scene, unit)  # as the written files have it
-    flash = start.lighting
-    if flash is not None and scene.train[0].irradiance is not None:
+def _input(scene: Scene, start: StartingPoints, unit: float) -> InputFacts:
+    """Return the facts of the scene and of its start, in the frame of the written files."""
+    flash, lamp = None, start.lighting
+    if lamp is not None and scene.train[0].irradiance is not None:
         across = scene.user_from_scene.scale * unit
-        facts["flash"] = {"right": round(across * flash.right, 4), "down": round(across * flash.down, 4)}
-    return facts | {"starting_points": starting_points}
+        flash = FlashFacts(round(across * lamp.right, 4), round(across * lamp.down, 4))
+    points = StartFacts(str(start.source), len(start.positions))
+    return replace(scene_facts(scene, unit), flash=flash, starting_points=points)
 
 
 def scene_line(scene: Scene) -> str:
@@ -165,13 +170,9 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _machine() -> dict[str, Any]:
-    return {
-        "system": platform.platform(),
-        "processor": platform.machine(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "kernels": isas()[0],
-    }
+def _machine() -> MachineFacts:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return MachineFacts(platform.platform(), platform.machine(), cores, isas()[0])
 
 
 def _seconds(trained: TrainResult, clock: StepClock) -> dict[str, float]:

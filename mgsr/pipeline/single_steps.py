@@ -68,8 +68,8 @@ def score_again(path: Path, out: Path, config: Config, device: str = "auto") -> 
     scene = as_lit(out, with_found_object(out, at_known_exposures(out, load_scene(path, config.data))))
     models = read_models(out, scene.user_from_scene).to(chosen.torch)
     behind = scene.backdrop(config.train.background)
-    scores = image_scores(list(render_views(models, scene.test, config)), scene, behind.color)
+    scores = image_scores(list(render_views(models, scene.test, config)), scene, behind.color).to_json()
     if (out / MESH).is_file():
-        scores |= surface_scores(read_mesh(out), find_truth(scene), scene)
+        scores["gt"] = surface_scores(read_mesh(out), find_truth(scene), scene)
     plain: dict[str, Any] = finite(scores)
     return plain

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from mgsr.budget.budget import TimeBudget
 from mgsr.budget.costs import Facts, load_cost, start_cost
@@ -16,7 +15,8 @@ from mgsr.data.scene import Scene
 from mgsr.metrics.truth import TRUTH
 from mgsr.pipeline.device import Device
 from mgsr.pipeline.steps import StepClock
-from mgsr.start.starting_points import StartingPoints
+from mgsr.report.data import BudgetFacts
+from mgsr.start.points import StartingPoints
 from mgsr.training.checkpoint import read_schedule
 from mgsr.training.probe import probe
 
@@ -117,15 +117,15 @@ def place_words(place: float) -> str:
     return f"between {names[below]} and {names[below + 1]} ({place:.2f})"
 
 
-def budget_report(budget: TimeBudget, steps: dict[str, float]) -> dict[str, Any]:
-    """Return what report.json says of the budget: seconds given, planned and spent, whole and by step."""
-    return {
-        "seconds": budget.seconds,
-        "used": budget.spent,
-        "place": budget.place,
-        "settings": place_words(budget.place or 0.0),
-        "image_scale": budget.scale,
-        "too_small": budget.too_small,
-        "planned": budget.planned,
-        "spent": dict(steps),
-    }
+def budget_facts(budget: TimeBudget, steps: dict[str, float]) -> BudgetFacts:
+    """Return what report.json says of the budget. steps: the seconds spent, by step."""
+    return BudgetFacts(
+        seconds=budget.seconds,
+        used=budget.spent,
+        place=budget.place,
+        settings=place_words(budget.place or 0.0),
+        image_scale=budget.scale or 1.0,
+        too_small=budget.too_small,
+        planned=budget.planned,
+        spent=dict(steps),
+    )

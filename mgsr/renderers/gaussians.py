@@ -53,7 +53,7 @@ def render_gaussians(
     launcher = launcher_for(model.means)
     inputs = [tensor for tensor in (*stored, *stored_split, environment) if tensor is not None]
     differentiable = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
-    rendering = _Rendering(
+    rendering = _GaussianInputs(
         GaussianPass(camera, GaussianOptions(low_pass=model.low_pass, depth=depth), launcher, differentiable),
         launcher,
         model.means.new_zeros(3) if background is None else plain(background),
@@ -73,7 +73,7 @@ def render_gaussians(
 
 
 @dataclass
-class _Rendering:
+class _GaussianInputs:
     """The inputs of a rendering beside the Gaussians; degrees: of the transmitted and the reflected colours."""
 
     raster: GaussianPass
@@ -92,7 +92,7 @@ class _RenderGaussians(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, r: _Rendering, environment: Tensor | None, *stored: Tensor | None
+        ctx: Any, r: _GaussianInputs, environment: Tensor | None, *stored: Tensor | None
     ) -> tuple[Tensor | None, ...]:
         tensors: list[Any] = [None if tensor is None else plain(tensor) for tensor in stored]
         means, quats, log_scales, opacity_logits, sh, refl_opacity_logits, weight_logits, refl_sh = tensors
@@ -146,7 +146,7 @@ class _RenderGaussians(torch.autograd.Function):
 
 
 def _to_stored(
-    r: _Rendering, sh: Tensor, refl_sh: Tensor | None, splats: list[Any], v_splats: list[Any]
+    r: _GaussianInputs, sh: Tensor, refl_sh: Tensor | None, splats: list[Any], v_splats: list[Any]
 ) -> tuple[Tensor | None, ...]:
     """Propagate the gradients of the rasterized splats [N,...] to the stored parameters."""
     means, _, scales, opacities, rgb, refl_opacities, refl_rgb, weights, _ = splats

@@ -44,7 +44,7 @@ def render_surfels(
     stored = (model.means, model.quats, model.log_scales, model.opacity_logits, model.sh)
     launcher = launcher_for(model.means)
     differentiable = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in stored)
-    rendering = _Rendering(
+    rendering = _SurfelInputs(
         SurfelPass(camera, SurfelOptions(distortion=distortion), launcher, differentiable),
         launcher,
         model.means.new_zeros(3) if background is None else plain(background),
@@ -57,7 +57,7 @@ def render_surfels(
 
 
 @dataclass
-class _Rendering:
+class _SurfelInputs:
     """The inputs of a rendering beside the surfels."""
 
     raster: SurfelPass
@@ -75,7 +75,7 @@ class _RenderSurfels(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx: Any, r: _Rendering, *stored: Tensor) -> tuple[Tensor | None, ...]:
+    def forward(ctx: Any, r: _SurfelInputs, *stored: Tensor) -> tuple[Tensor | None, ...]:
         means, quats, log_scales, opacity_logits, sh = (plain(tensor) for tensor in stored)
         scales, opacities = activated(r.launcher, KINDS, (log_scales, opacity_logits))
         rgb = harmonics(r.launcher, sh, means, r.center, r.degree)

@@ -15,7 +15,7 @@ LEFT, RIGHT, TOP, BOTTOM = 48, 74, 30, 44
 
 
 @dataclass(frozen=True)
-class Line:
+class Series:
     """A series: its label, the style's colour class (a or b), and points (x, y) with x rising."""
 
     label: str
@@ -42,7 +42,7 @@ class Axes:
 
 
 @dataclass(frozen=True)
-class _Frame:
+class _PlotArea:
     """The data's rectangle, and its mapping into the picture."""
 
     low: tuple[float, float]
@@ -54,7 +54,7 @@ class _Frame:
         return LEFT + across * (WIDTH - LEFT - RIGHT), HEIGHT - BOTTOM - along * (HEIGHT - TOP - BOTTOM)
 
 
-def line_chart(lines: Sequence[Line], axes: Axes, boundaries: Sequence[Boundary] = ()) -> str:
+def line_chart(lines: Sequence[Series], axes: Axes, boundaries: Sequence[Boundary] = ()) -> str:
     """Draw an <svg> element with its lines labelled at their ends; empty text where no line has a point."""
     lines = [line for line in lines if line.points]
     if not lines:
@@ -88,16 +88,16 @@ def _round_step(rough: float) -> float:
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= rough * (1 - 1e-9))
 
 
-def _frame(lines: Sequence[Line], from_zero: bool) -> _Frame:
+def _frame(lines: Sequence[Series], from_zero: bool) -> _PlotArea:
     xs = [x for line in lines for x, _ in line.points]
     ys = [y for line in lines for _, y in line.points]
     low, high = (0.0 if from_zero else min(ys)), max(ys)
     room = (high - low) or max(abs(high) * 0.1, 1.0)
     bottom = 0.0 if from_zero else low - 0.06 * room
-    return _Frame((0.0, bottom), (max(*xs, 1e-3), high + 0.08 * room))
+    return _PlotArea((0.0, bottom), (max(*xs, 1e-3), high + 0.08 * room))
 
 
-def _grid(frame: _Frame, axes: Axes) -> list[str]:
+def _grid(frame: _PlotArea, axes: Axes) -> list[str]:
     parts = []
     for value in ticks(frame.low[1], frame.high[1], 4):
         _, y = frame.at(0, value)
@@ -114,7 +114,7 @@ def _grid(frame: _Frame, axes: Axes) -> list[str]:
     return parts
 
 
-def _stages(frame: _Frame, boundaries: Sequence[Boundary]) -> list[str]:
+def _stages(frame: _PlotArea, boundaries: Sequence[Boundary]) -> list[str]:
     """Draw a dashed line where a stage begins, with its label where the stage is wide enough for the words."""
     parts = []
     places = [*(boundary.x for boundary in boundaries), frame.high[0]]
@@ -128,7 +128,7 @@ def _stages(frame: _Frame, boundaries: Sequence[Boundary]) -> list[str]:
     return parts
 
 
-def _line(line: Line, frame: _Frame) -> str:
+def _line(line: Series, frame: _PlotArea) -> str:
     places = [frame.at(x, y) for x, y in line.points]
     path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in places)
     x, y = places[-1]
@@ -138,7 +138,7 @@ def _line(line: Line, frame: _Frame) -> str:
     )
 
 
-def _end_labels(lines: Sequence[Line], frame: _Frame) -> list[str]:
+def _end_labels(lines: Sequence[Series], frame: _PlotArea) -> list[str]:
     """Draw label and last value right of each line's end, moved apart where they would touch."""
     ends = sorted((frame.at(*line.points[-1])[1], index) for index, line in enumerate(lines))
     parts, lowest = [], -math.inf
@@ -152,6 +152,6 @@ def _end_labels(lines: Sequence[Line], frame: _Frame) -> list[str]:
     return parts
 
 
-def _summary(lines: Sequence[Line]) -> str:
+def _summary(lines: Sequence[Series]) -> str:
     ends = (f"{line.label} from {line.points[0][1]:.4g} to {line.points[-1][1]:.4g}" for line in lines)
     return "; ".join(ends)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from types import NoneType
+from typing import Any, get_args, get_origin, get_type_hints
 
 
 @dataclass(frozen=True)
@@ -60,12 +61,126 @@ class Decision:
 
 
 @dataclass(frozen=True)
+class FrameFacts:
+    """The transform to the frame of the written files: point = scale * (point of the normalised scene) + offset [3]."""
+
+    scale: float
+    offset: list[float]
+
+
+@dataclass(frozen=True)
+class FlashFacts:
+    """The flash's offset from the lens, along the camera's x and y axes, in the written files' unit."""
+
+    right: float
+    down: float
+
+
+@dataclass(frozen=True)
+class StartFacts:
+    """The starting points: their source (capture, hull, stereo or ball) and their number."""
+
+    source: str
+    count: int
+
+
+@dataclass(frozen=True)
+class InputFacts:
+    """The capture. A field that is None does not apply and is not written.
+
+    image_size: width and height of the first training view. points: the number of points in the capture. splats_origin
+    [3]: the origin of positions in splat files, where the frame's own lies far away. shown: the share of the training
+    images' pixels that photographs show, where it is not all. backdrop [3]: the colour, sRGB 0..1, of a plain backdrop
+    behind photographs without masks. exposures: the ratio of the brightest exposure to the darkest.
+    """
+
+    path: str
+    format: str
+    train_views: list[str]
+    test_views: list[str]
+    image_size: list[int]
+    masked: bool
+    points: int
+    user_from_scene: FrameFacts
+    splats_origin: list[float] | None = None
+    shown: float | None = None
+    backdrop: list[float] | None = None
+    exposures: float | None = None
+    notes: list[str] | None = None
+    warning: str | None = None
+    flash: FlashFacts | None = None
+    starting_points: StartFacts | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the facts that apply, by name, as plain types."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+
+@dataclass(frozen=True)
+class MeshStepRun:
+    """A step that finished the mesh: its duration in seconds, the faces after it, and its own figures by name."""
+
+    seconds: float
+    faces: int
+    outcome: dict[str, float | bool | str]
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What model selection chose, and the PSNR, dB, on held-out photographs of each candidate that it tried."""
+
+    chosen: str | int | None
+    tried: dict[str, float]
+
+
+@dataclass(frozen=True)
+class MachineFacts:
+    """The machine: the system, the processor's architecture, its cores, and the instruction set of the kernels."""
+
+    system: str
+    processor: str
+    cores: int | None
+    kernels: str
+
+
+@dataclass(frozen=True)
+class BudgetFacts:
+    """The time budget and its use, in seconds; planned and spent are by step.
+
+    place: of the settings on the line of presets; settings: the same in words. image_scale: the factor on the sides of
+    the training photographs. too_small: whether the least plan needs more.
+    """
+
+    seconds: float
+    used: float
+    place: float | None
+    settings: str
+    image_scale: float
+    too_small: bool
+    planned: dict[str, float]
+    spent: dict[str, float]
+
+
+@dataclass(frozen=True)
+class SplitFacts:
+    """The scores of the light split, dB (see `mgsr.metrics.split`)."""
+
+    split_psnr: float
+    split_photo: float
+    split_gain: float
+
+
+@dataclass(frozen=True)
 class ReportData:
     """A whole run.
 
     seconds: by step and stage, with `total`. gaussians: splats by branch. gt: scores against the true surface by
-    name, in the units of `mgsr.metrics`; None where no truth lies beside the scene. other: further fields from the
-    writer of report.json; it is written out at the top level and read back from there.
+    name, in the units of `mgsr.metrics`; None where no truth lies beside the scene. Fields with the default None stand
+    in report.json only where the run has them. light: the kind of light in the photographs. start_kept: whether the
+    surface on which training began replaced the trained one. mesh_steps: by name, in their order. settings: the whole
+    `Config` as plain types. psnr_fg_test, psnr_fg_gain_test: PSNR, dB, on the object's pixels, as they are and after
+    the best gain of each channel. psnr_whole_test: PSNR, dB, of the object before its background. views: the scores of
+    each test view, by its name.
     """
 
     scene: str
@@ -85,33 +200,43 @@ class ReportData:
     peak_memory_mib: float
     command: str = ""
     decisions: list[Decision] = field(default_factory=list)
-    other: dict[str, Any] = field(default_factory=dict)
+    input: InputFacts | None = None
+    light: str | None = None
+    start_kept: bool | None = None
+    mesh_steps: dict[str, MeshStepRun] | None = None
+    reflection: Selection | None = None
+    sh_degree: Selection | None = None
+    settings: dict[str, Any] | None = None
+    machine: MachineFacts | None = None
+    time_budget: BudgetFacts | None = None
+    psnr_fg_test: float | None = None
+    psnr_fg_gain_test: float | None = None
+    psnr_whole_test: float | None = None
+    views: dict[str, dict[str, float]] | None = None
+    split: SplitFacts | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the object of report.json: only plain types, with None for numbers that are not finite."""
         plain = asdict(self)
-        other = plain.pop("other")
-        written: dict[str, Any] = finite(other | plain)
+        optional = {each.name: plain.pop(each.name) for each in fields(self) if each.default is None}
+        if self.input is not None:
+            optional["input"] = self.input.to_json()
+        written: dict[str, Any] = finite({name: item for name, item in optional.items() if item is not None} | plain)
         return written
 
     @staticmethod
     def from_json(report: Mapping[str, Any]) -> ReportData:
-        """Build the run from the JSON object of a report.
+        """Build the run from the JSON object of a report; entries without a field are left out.
 
         psnr_test, ssim_test, mesh and gt may be missing, which means None. Raises KeyError, with the name, where
-        another field without default is missing.
+        another field without default is missing, and TypeError where a part lacks one.
         """
-        names = {each.name for each in fields(ReportData)} - {"other"}
-        known: dict[str, Any] = dict.fromkeys(("psnr_test", "ssim_test", "mesh", "gt"))
-        known |= {name: value for name, value in report.items() if name in names}
+        known: dict[str, Any] = {**dict.fromkeys(("psnr_test", "ssim_test", "mesh", "gt")), **report}
         for name in REQUIRED:
             if name not in known:
                 raise KeyError(name)
-        known["iterations"] = {name: _pick(StageRun, stage) for name, stage in known["iterations"].items()}
-        known["curve"] = [_pick(CurvePoint, row) for row in known["curve"]]
-        known["mesh"] = None if known["mesh"] is None else _pick(MeshFacts, known["mesh"])
-        known["decisions"] = [_pick(Decision, decision) for decision in known.get("decisions", [])]
-        return ReportData(**known, other={name: value for name, value in report.items() if name not in names})
+        read: ReportData = _read(ReportData, known)
+        return read
 
 
 REQUIRED = (
@@ -131,9 +256,16 @@ def finite(value: Any) -> Any:
     return value
 
 
-def _pick(kind: type, values: Any) -> Any:
-    """Build a dataclass from the entries that it knows."""
-    if isinstance(values, kind):
-        return values
-    names = {each.name for each in fields(kind)}
-    return kind(**{name: value for name, value in values.items() if name in names})
+def _read(kind: Any, value: Any) -> Any:
+    """Build a value of a type from plain types; entries that a dataclass does not know are left out."""
+    inner = get_args(kind)
+    if NoneType in inner:
+        return None if value is None else _read(inner[0], value)
+    if isinstance(kind, type) and is_dataclass(kind):
+        hints = get_type_hints(kind)
+        return kind(**{name: _read(hints[name], item) for name, item in value.items() if name in hints})
+    if get_origin(kind) is list:
+        return [_read(inner[0], item) for item in value]
+    if get_origin(kind) is dict:
+        return {name: _read(inner[1], item) for name, item in value.items()}
+    return value

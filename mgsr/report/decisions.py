@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-from mgsr.report.data import Decision, ReportData
+from mgsr.report.data import BudgetFacts, Decision, FlashFacts, InputFacts, ReportData, Selection
 
 STAGE_NAMES = {
     "warmup_surfels": "2D alone",
@@ -67,75 +67,76 @@ def with_decisions(data: ReportData) -> ReportData:
 
 def tell_decisions(data: ReportData) -> list[Decision]:
     """Return the decisions that follow from the facts of a run: method, masks, test views, stage ends, surface."""
-    given: dict[str, Any] = data.other.get("input") or {}
-    mesh: dict[str, Any] = (data.other.get("settings") or {}).get("mesh") or {}
-    told = [Decision("Method", data.method, METHODS.get(data.method, "as asked for"))]
     return [
-        *told,
-        *_about_budget(data.other.get("time_budget")),
-        *_about_input(given, (data.other.get("settings") or {}).get("train") or {}),
+        Decision("Method", data.method, METHODS.get(data.method, "as asked for")),
+        *_about_budget(data.time_budget),
+        *_about_input(data),
         *_about_stages(data),
-        *_about_surface(data, mesh),
-        *_about_flash(given.get("flash")),
+        *_about_surface(data),
+        *_about_flash(None if data.input is None else data.input.flash),
         *_about_light(data),
     ]
 
 
-def _about_budget(budget: dict[str, Any] | None) -> Iterator[Decision]:
-    if not budget:
+def _settings(data: ReportData, *names: str) -> dict[str, Any]:
+    """Return a group of the settings, by the names that lead to it; empty if the report has none."""
+    group: dict[str, Any] = data.settings or {}
+    for name in names:
+        group = group.get(name, {})
+    return group
+
+
+def _about_budget(budget: BudgetFacts | None) -> Iterator[Decision]:
+    if budget is None:
         return
-    choice = f"settings {budget['settings']}"
-    if budget["image_scale"] != 1:
-        choice += f", photographs at {budget['image_scale']:g} of their size"
+    choice = f"settings {budget.settings}"
+    if budget.image_scale != 1:
+        choice += f", photographs at {budget.image_scale:g} of their size"
     planned, spent = (
-        ", ".join(
-            f"{step} {budget[kind][step]:.0f} s" for step in ("train", "mesh", "evaluate") if step in budget[kind]
-        )
-        for kind in ("planned", "spent")
+        ", ".join(f"{step} {times[step]:.0f} s" for step in ("train", "mesh", "evaluate") if step in times)
+        for times in (budget.planned, budget.spent)
     )
-    why = f"planned {planned}; it came to {spent}, and {budget['used']:.0f} s in all"
-    if budget["too_small"]:
+    why = f"planned {planned}; it came to {spent}, and {budget.used:.0f} s in all"
+    if budget.too_small:
         why = f"that is less than the least plan needs, which was run; {why}"
-    yield Decision(f"Time budget of {budget['seconds']:g} s", choice, why)
+    yield Decision(f"Time budget of {budget.seconds:g} s", choice, why)
 
 
-def _about_input(given: dict[str, Any], train: dict[str, Any]) -> Iterator[Decision]:
-    if "masked" in given:
-        yes = "every training photograph has a mask: what lies outside is no object and gets no colour"
-        no = "no mask is used: the whole of each photograph is explained"
-        yield Decision("Masks", "used" if given["masked"] else "not used", yes if given["masked"] else no)
-    if "train_views" in given:
-        count = f"{len(given['train_views'])} to train on, {len(given.get('test_views', []))} held back"
-        yield Decision("Views", count, "figures named “test” come from photographs that training never saw")
-    if given.get("shown", 1) < 0.995:
-        choice = f"photographs show {given['shown']:.0%} of them"
+def _about_input(data: ReportData) -> Iterator[Decision]:
+    given = data.input
+    if given is None:
+        return
+    yes = "every training photograph has a mask: what lies outside is no object and gets no colour"
+    no = "no mask is used: the whole of each photograph is explained"
+    yield Decision("Masks", "used" if given.masked else "not used", yes if given.masked else no)
+    count = f"{len(given.train_views)} to train on, {len(given.test_views)} held back"
+    yield Decision("Views", count, "figures named “test” come from photographs that training never saw")
+    if given.shown is not None and given.shown < 0.995:
+        choice = f"photographs show {given.shown:.0%} of them"
         why = "undoing the lens leaves others at the borders: they are not trained on, and no figure counts them"
         yield Decision("Pixels", choice, why)
-    if _before_plain_backdrop(given, train):
-        color = "#" + "".join(f"{round(255 * value):02x}" for value in given["backdrop"])
+    backdrop = _plain_backdrop(data, given)
+    if backdrop is not None:
+        color = "#" + "".join(f"{round(255 * value):02x}" for value in backdrop)
         why = "the photographs' borders have this one colour: it lies behind the splats, which need not show it"
         yield Decision("Backdrop", f"plain, {color}", why)
-    if _outlines_learned(given, train):
+    start = given.starting_points
+    # Masks that come to nothing leave a start without them.
+    if backdrop is not None and (start is None or start.source not in ("stereo", "ball")):
         why = "all that splats need cover is the object: where they are opaque shows where it ends"
         yield Decision("Outlines", "learned, for the start and the surface", why)
-    if given.get("exposures"):
-        choice = f"differ, up to {given['exposures']:.2f} times the light"
+    if given.exposures is not None:
+        choice = f"differ, up to {given.exposures:.2f} times the light"
         why = "photographs are brought to a common exposure, also those that figures come from; renders have it"
         yield Decision("Exposures", choice, why)
-    if given.get("starting_points"):
-        source, count = given["starting_points"]["source"], given["starting_points"]["count"]
-        words, why = STARTS.get(source, (str(source), ""))
-        yield Decision("Starting points", f"{count:,} {words}", why)
+    if start is not None:
+        words, why = STARTS.get(start.source, (start.source, ""))
+        yield Decision("Starting points", f"{start.count:,} {words}", why)
 
 
-def _before_plain_backdrop(given: dict[str, Any], train: dict[str, Any]) -> bool:
-    return bool(given.get("backdrop")) and train.get("background", "auto") == "auto"
-
-
-def _outlines_learned(given: dict[str, Any], train: dict[str, Any]) -> bool:
-    """Return whether masks were learned for the start; masks that come to nothing leave a start without them."""
-    source = (given.get("starting_points") or {}).get("source")
-    return _before_plain_backdrop(given, train) and source not in ("stereo", "ball")
+def _plain_backdrop(data: ReportData, given: InputFacts) -> list[float] | None:
+    """Return the colour [3] of a plain backdrop that lies behind the splats, None where the settings say otherwise."""
+    return given.backdrop if _settings(data, "train").get("background", "auto") == "auto" else None
 
 
 def _about_stages(data: ReportData) -> Iterator[Decision]:
@@ -144,12 +145,13 @@ def _about_stages(data: ReportData) -> Iterator[Decision]:
         yield Decision(f"End of stage “{stage_name(name)}”", f"after {run.iterations:,} iterations", reason)
         if run.dropped:
             branch = name.removeprefix("warmup_")
-            share = f"{data.other['settings']['train'][branch]['densify']['prune_contribution']:.0%}"
+            share = f"{_settings(data, 'train', branch, 'densify')['prune_contribution']:.0%}"
             why = f"{run.dropped:,} went after the warm-up: together they contributed less than {share} of the light"
             yield Decision(SPLATS[branch], f"{data.gaussians[branch]:,}", why)
 
 
-def _about_surface(data: ReportData, mesh: dict[str, Any]) -> Iterator[Decision]:
+def _about_surface(data: ReportData) -> Iterator[Decision]:
+    mesh = _settings(data, "mesh")
     extractor = str(mesh.get("extractor", ""))
     if extractor == "poisson":
         yield Decision("Surface", "screened Poisson", "it uses the rendered normals as well as the depths")
@@ -160,65 +162,65 @@ def _about_surface(data: ReportData, mesh: dict[str, Any]) -> Iterator[Decision]
         yield Decision("Holes", left, "where no view showed a surface, none is invented")
 
 
-def _about_flash(flash: dict[str, float] | None) -> Iterator[Decision]:
-    if not flash:
+def _about_flash(flash: FlashFacts | None) -> Iterator[Decision]:
+    if flash is None:
         return
-    across = f"{abs(flash['right']):.2g} to the {'right' if flash['right'] >= 0 else 'left'}"
-    choice = f"a lamp {across} of the lens and {abs(flash['down']):.2g} {'below' if flash['down'] >= 0 else 'above'} it"
+    across = f"{abs(flash.right):.2g} to the {'right' if flash.right >= 0 else 'left'}"
+    choice = f"a lamp {across} of the lens and {abs(flash.down):.2g} {'below' if flash.down >= 0 else 'above'} it"
     why = "its shading and shadows are computed for each view: the splats' own colours are those under even light"
     yield Decision("Flash on the camera", choice, why)
 
 
 def _about_light(data: ReportData) -> Iterator[Decision]:
-    asked: dict[str, Any] = data.other.get("settings") or {}
-    if asked.get("mesh", {}).get("max_light_residual", 0) is None:
+    if _settings(data, "mesh").get("max_light_residual", 0) is None:
         yield Decision("Light model of the mesh", "not looked at", "as the settings have it (max_light_residual)")
-    elif data.other.get("light") in LIGHTS:
-        yield Decision("Light model of the mesh", *LIGHTS[data.other["light"]])
-        if "mesh_steps" in data.other:
+    elif data.light in LIGHTS:
+        yield Decision("Light model of the mesh", *LIGHTS[data.light])
+        if data.mesh_steps is not None:
             yield _about_photometric_refinement(data)
-        if data.other.get("start_kept"):
+        if data.start_kept:
             why = "the surface that training made is torn, or the photographs agree less about what lies on it"
             yield Decision("Surface that was refined", "the one that training began on", why)
         if (removed := _removed_area(data)) > 0:
             why = "photographs under the flash contradict each other about it, as they do where a hole is covered"
             yield Decision("Removed area", f"{removed:.1%}", why)
-    reflection: dict[str, Any] = data.other.get("reflection") or {}
-    if reflection.get("chosen") in REFLECTIONS and data.method == "mgsr":
-        settings: dict[str, Any] = asked.get("train", {}).get("gaussians", {})
-        why = "as asked for" if settings.get("reflection") != "auto" else _why_reflected(**reflection)
-        yield Decision("Reflected light", REFLECTIONS[reflection["chosen"]], why)
-        yield from _about_colors(data.other.get("sh_degree") or {}, reflection)
+    reflection = data.reflection
+    if reflection is not None and str(reflection.chosen) in REFLECTIONS and data.method == "mgsr":
+        asked = _settings(data, "train", "gaussians").get("reflection")
+        why = "as asked for" if asked != "auto" else _why_reflected(reflection)
+        yield Decision("Reflected light", REFLECTIONS[str(reflection.chosen)], why)
+        if data.sh_degree is not None:
+            yield from _about_colors(data.sh_degree, reflection)
 
 
 def _removed_area(data: ReportData) -> float:
     """Return the share of the mesh's area that was removed, as photographs contradict it."""
-    step = data.other.get("mesh_steps", {}).get("remove_contradicted")
-    return 0.0 if step is None else float(step["outcome"]["removed_area"])
+    step = (data.mesh_steps or {}).get("remove_contradicted")
+    return 0.0 if step is None else float(step.outcome["removed_area"])
 
 
 def _about_photometric_refinement(data: ReportData) -> Decision:
     what = "Photometric refinement of the surface"
-    if "photometric_refinement" in data.other["mesh_steps"]:
-        still = "the light stands still" if data.other["light"] != "flash" else "the flash's light is known for each"
+    if "photometric_refinement" in (data.mesh_steps or {}):
+        still = "the light stands still" if data.light != "flash" else "the flash's light is known for each"
         return Decision(what, "used", f"{still}, so photographs should agree about each place")
-    given, train = data.other.get("input") or {}, (data.other.get("settings") or {}).get("train") or {}
-    if not given.get("masked") and not _before_plain_backdrop(given, train):
+    given = data.input
+    if given is None or (not given.masked and _plain_backdrop(data, given) is None):
         return Decision(what, "not used", "it needs outlines, of masks or before a plain backdrop, to hold the surface")
     return Decision(what, "not used", "the settings (photometric_reach) or the time budget have it so")
 
 
-def _about_colors(degree: dict[str, Any], reflection: dict[str, Any]) -> Iterator[Decision]:
-    if not degree.get("tried"):
+def _about_colors(degree: Selection, reflection: Selection) -> Iterator[Decision]:
+    if not degree.tried:
         return
-    reached = "; ".join(f"degree {name} {psnr:.2f} dB" for name, psnr in degree["tried"].items())
-    whole = f"with all of them {reflection['tried'][reflection['chosen']]:.2f} dB"
+    reached = "; ".join(f"degree {name} {psnr:.2f} dB" for name, psnr in degree.tried.items())
+    whole = f"with all of them {reflection.tried[str(reflection.chosen)]:.2f} dB"
     why = f"lowered while held-out photographs were rendered no worse: {reached}; {whole}"
-    yield Decision("Harmonics of the transmitted colour", f"up to degree {degree['chosen']}", why)
+    yield Decision("Harmonics of the transmitted colour", f"up to degree {degree.chosen}", why)
 
 
-def _why_reflected(chosen: str, tried: dict[str, float]) -> str:
-    if not tried:
+def _why_reflected(reflection: Selection) -> str:
+    if not reflection.tried:
         return "so the start's look at how brightness changes from view to view suggests; it was not tried"
-    reached = "; ".join(f"{REFLECTIONS[name]} {psnr:.2f} dB" for name, psnr in tried.items())
+    reached = "; ".join(f"{REFLECTIONS[name]} {psnr:.2f} dB" for name, psnr in reflection.tried.items())
     return f"the simplest that renders held-out photographs as well as the best: {reached}"

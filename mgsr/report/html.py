@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from html import escape
 from pathlib import Path
 
 import numpy as np
 
-from mgsr.report.charts import Axes, Boundary, Line, line_chart, short_number
+from mgsr.report.charts import Axes, Boundary, Series, line_chart, short_number
 from mgsr.report.data import ReportData, finite
 from mgsr.report.decisions import stage_name, with_decisions
 from mgsr.report.encode import data_address
@@ -72,10 +73,9 @@ def report_page(data: ReportData, pictures: ReportPictures) -> str:
 
 
 def _lead(data: ReportData) -> str:
-    given = data.other.get("input") or {}
-    words = [f"{len(given['train_views'])} photographs"] if given.get("train_views") else []
-    if given.get("image_size"):
-        words.append("{} × {} pixels".format(*given["image_size"]))
+    words = []
+    if data.input is not None:
+        words = [f"{len(data.input.train_views)} photographs", "{} × {} pixels".format(*data.input.image_size)]
     words += [f"{data.method} {data.preset}", f"on {data.device}"]
     return f'<p class="lead">{escape(", ".join(words))}</p>'
 
@@ -261,15 +261,15 @@ def _curves(data: ReportData) -> str:
         return ""
     boundaries = _boundaries(data)
     lines = [
-        Line("2D", "a", [(row.seconds, row.psnr_surfels) for row in data.curve if row.psnr_surfels is not None]),
-        Line("3D", "b", [(row.seconds, row.psnr_gaussians) for row in data.curve if row.psnr_gaussians is not None]),
+        Series("2D", "a", [(row.seconds, row.psnr_surfels) for row in data.curve if row.psnr_surfels is not None]),
+        Series("3D", "b", [(row.seconds, row.psnr_gaussians) for row in data.curve if row.psnr_gaussians is not None]),
     ]
     if not any(line.points for line in lines):
-        lines = [Line("PSNR", "a", [(row.seconds, row.psnr) for row in data.curve if row.psnr is not None])]
+        lines = [Series("PSNR", "a", [(row.seconds, row.psnr) for row in data.curve if row.psnr is not None])]
     error = line_chart(lines, Axes("PSNR on test views, dB", "seconds of training", "dB"), boundaries)
     counts = [
-        Line("2D", "a", [(row.seconds, row.surfels) for row in data.curve if row.surfels]),
-        Line("3D", "b", [(row.seconds, row.gaussians) for row in data.curve if row.gaussians]),
+        Series("2D", "a", [(row.seconds, row.surfels) for row in data.curve if row.surfels]),
+        Series("3D", "b", [(row.seconds, row.gaussians) for row in data.curve if row.gaussians]),
     ]
     number = line_chart(counts, Axes("Gaussians", "seconds of training", "count", True), boundaries)
     charts = "".join(
@@ -349,7 +349,7 @@ def _settings(data: ReportData) -> str:
     facts += [("Most memory held", f"{data.peak_memory_mib:,.0f} MiB")]
     facts += [(_seconds_name(name), f"{value:.1f}") for name, value in data.seconds.items()]
     facts += [(f"Version of {name}", str(value)) for name, value in data.versions.items()]
-    machine = data.other.get("machine") or {}
+    machine = {} if data.machine is None else asdict(data.machine)
     facts += [(f"Machine, {name}", str(value)) for name, value in machine.items()]
     rows = "".join(f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>' for name, value in facts)
     command = f"<h3>Command</h3><pre>{escape(data.command)}</pre>" if data.command else ""
@@ -364,8 +364,7 @@ def _seconds_name(name: str) -> str:
 
 
 def _all_settings(data: ReportData) -> str:
-    settings = data.other.get("settings")
-    if not settings:
+    if data.settings is None:
         return ""
-    text = json.dumps(finite(settings), indent=2, ensure_ascii=False, default=str)
+    text = json.dumps(finite(data.settings), indent=2, ensure_ascii=False, default=str)
     return f"<details><summary>All settings</summary><pre>{escape(text)}</pre></details>"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from mgsr.report.data import ReportData
 
@@ -108,9 +108,8 @@ SPLIT = (
 
 def scores_told(data: ReportData) -> Iterator[tuple[Score, str]]:
     """Yield the scores that this run has, each with its value written out."""
-    images = data.other | {"psnr_test": data.psnr_test, "ssim_test": data.ssim_test}
-    split = data.other.get("split") or {}
-    for scores, values in ((IMAGE, images), (SURFACE, data.gt or {}), (SPLIT, split)):
+    split = {} if data.split is None else asdict(data.split)
+    for scores, values in ((IMAGE, vars(data)), (SURFACE, data.gt or {}), (SPLIT, split)):
         for score in scores:
             value = values.get(score.name)
             if isinstance(value, int | float) and math.isfinite(value):

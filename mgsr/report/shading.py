@@ -238,9 +238,7 @@ def _look_at(eye: np.ndarray, toward: np.ndarray, up: np.ndarray, focal: float, 
 
 def _limited(camera: Camera) -> Camera:
     factor = MOST_PIXELS / max(camera.width, camera.height)
-    if factor >= 1:
-        return camera
-    return camera.resized(max(1, round(factor * camera.width)), max(1, round(factor * camera.height)))
+    return camera if factor >= 1 else camera.scaled(factor)
 
 
 def _facing(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:

@@ -35,7 +35,7 @@ from mgsr.segmentation.consensus import silhouette, tolerant_hull
 from mgsr.segmentation.mattes import Matte, first_region, hull_region, matte
 from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane
-from mgsr.start.starting_points import StartingPoints
+from mgsr.start.points import StartingPoints
 from mgsr.training.proxy_model import small_view
 from mgsr.training.run import Training
 

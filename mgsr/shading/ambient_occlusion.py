@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from mgsr.data.photograph import Photograph
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import tangents
 from mgsr.parallel import map_ahead
-from mgsr.shading.observations import LinearPhotograph, read_image, seen_frontal
+from mgsr.shading.observations import read_image, seen_frontal
 
 RAYS = 64  # for each vertex
 GRAZING = 0.05  # least cosine between normal and view direction at which a photograph's brightness counts
@@ -49,7 +50,7 @@ class AmbientOcclusion:
 
 
 def estimate_occlusion(
-    mesh: Mesh, photographs: Sequence[LinearPhotograph], gap: float, threads: int | None = None
+    mesh: Mesh, photographs: Sequence[Photograph], gap: float, threads: int | None = None
 ) -> AmbientOcclusion:
     """Estimate ambient occlusion and one-bounce interreflection for every vertex of a mesh.
 
@@ -61,14 +62,12 @@ def estimate_occlusion(
     return AmbientOcclusion(mesh, 1 - hidden, around @ np.stack(list(columns), axis=1))
 
 
-def _shown(mesh: Mesh, photograph: LinearPhotograph, gap: float) -> np.ndarray:
+def _shown(mesh: Mesh, photograph: Photograph, gap: float) -> np.ndarray:
     """Return each vertex's brightness [V] in a photograph, in linear light; 0 where it is not visible."""
     vertices, normals = mesh.vertices, mesh.double_normals
     offsets = photograph.camera.center - vertices
     cosines = (offsets * normals).sum(axis=1) / np.linalg.norm(offsets, axis=1)
-    seen = seen_frontal(
-        mesh.caster, photograph.camera, vertices, normals, cosines > GRAZING, gap, photograph.valid_mask
-    )
+    seen = seen_frontal(mesh.caster, photograph.camera, vertices, normals, cosines > GRAZING, gap, photograph.interior)
     pixels, _ = photograph.camera.project(vertices[seen])
     brightness = np.zeros(len(vertices), np.float32)
     brightness[seen] = read_image(photograph.brightness, pixels)

@@ -15,16 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, ndimage
 
-from mgsr.data.camera import Camera
 from mgsr.data.images import srgb_rate
-from mgsr.data.scene import View
+from mgsr.data.photograph import Photograph
 from mgsr.geometry.displace import diffuse
 from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import map_ahead
 from mgsr.shading.environment_fit import FittedEnvironmentMap
 from mgsr.shading.light_models import LightModel
 from mgsr.shading.lighting import DIMMEST, GAMMA, Lighting
-from mgsr.shading.observations import CLIPPED, SOLID, lie_within, read_image, seen_frontal
+from mgsr.shading.observations import lie_within, read_image, seen_frontal
 
 BLUR = 1.0  # pixels; standard deviation of the Gaussian against image noise
 DETAIL = 3.0  # pixels; standard deviation of the wider Gaussian that is subtracted, as coarser variation is shading
@@ -74,14 +73,13 @@ class ObservedMesh:
 
 @dataclass(frozen=True)
 class ChannelMix:
-    """A photograph in one mix of its channels.
+    """One mix of a photograph's channels.
 
-    image [H,W,3]: uint8 sRGB. mix [3]: the channels' weights. mixed [H,W]: float32, the mix of the blurred channels,
-    in sRGB 0..1. usable [H,W] bool: the pixels that show the object alone and are not clipped.
+    mix [3]: the channels' weights. mixed [H,W]: float32, the mix of the blurred channels, in sRGB 0..1. usable [H,W]
+    bool: the pixels that show the object alone and are not clipped.
     """
 
-    camera: Camera
-    image: np.ndarray
+    photograph: Photograph
     mix: np.ndarray
     mixed: np.ndarray
     usable: np.ndarray
@@ -94,36 +92,35 @@ class ChannelMix:
 
     def rates(self, pixels: np.ndarray) -> np.ndarray:
         """Return the derivative [P] of the mix by white linear light at pixel coordinates [P,2]."""
-        columns, rows = np.clip(pixels.astype(int), 0, (self.camera.width - 1, self.camera.height - 1)).T
-        return np.asarray(srgb_rate(self.image[rows, columns] / 255) @ self.mix)
+        camera = self.photograph.camera
+        columns, rows = np.clip(pixels.astype(int), 0, (camera.width - 1, camera.height - 1)).T
+        return np.asarray(srgb_rate(self.photograph.view.image[rows, columns] / 255) @ self.mix)
 
 
-def mix_channels(views: Sequence[View], mix: np.ndarray, threads: int | None) -> list[ChannelMix]:
-    """Mix the channels of the views by weights [3]; in sRGB, as its noise is more uniform than linear light's."""
+def mix_channels(photographs: Sequence[Photograph], mix: np.ndarray, threads: int | None) -> list[ChannelMix]:
+    """Mix the channels of photographs by weights [3]; in sRGB, as its noise is more uniform than linear light's."""
 
-    def mixed(view: View) -> ChannelMix:
-        inside = view.image.max(axis=-1) <= CLIPPED * 255
-        if view.alpha is not None:
-            inside &= view.alpha >= SOLID * 255
-        if view.valid_mask is not None:
-            inside &= view.valid_mask
+    def mixed(photograph: Photograph) -> ChannelMix:
+        inside = photograph.opaque
         share = ndimage.gaussian_filter(inside.astype(np.float32), BLUR)
-        values = view.image @ (mix / 255).astype(np.float32)
+        values = photograph.view.image @ (mix / 255).astype(np.float32)
         blurred = ndimage.gaussian_filter(values * inside, BLUR) / np.maximum(share, 1e-6)
         usable = ndimage.binary_erosion(inside, iterations=round(2 * BLUR))
-        return ChannelMix(view.camera, view.image, mix, blurred, usable)
+        return ChannelMix(photograph, mix, blurred, usable)
 
-    return list(map_ahead(mixed, views, threads))
+    return list(map_ahead(mixed, photographs, threads))
 
 
-def choose_mix(surface: ObservedMesh, views: Sequence[View], light: KnownLight, threads: int | None) -> np.ndarray:
+def choose_mix(
+    surface: ObservedMesh, photographs: Sequence[Photograph], light: KnownLight, threads: int | None
+) -> np.ndarray:
     """Find the channel weights [3] whose detail locates the surface best.
 
     The mix maximises the ratio of slope to residual: it is the leading generalised eigenvector of the covariances of
     the slopes and of the residuals. The result is GREY unless the mix is CLEARER times as informative.
     """
-    single = [mix_channels(views, channel, threads) for channel in np.eye(3)]
-    channels = [read_details(surface, photographs, light, threads) for photographs in single]
+    single = [mix_channels(photographs, channel, threads) for channel in np.eye(3)]
+    channels = [read_details(surface, mixes, light, threads) for mixes in single]
     weights = channels[0].weights
     residual = np.stack([centered(channel.mixed, weights)[weights > 0] for channel in channels])
     change = np.stack([centered(channel.change, weights)[weights > 0] for channel in channels])
@@ -152,32 +149,30 @@ class Details:
     weights: np.ndarray
 
 
-def read_details(
-    surface: ObservedMesh, photographs: Sequence[ChannelMix], light: KnownLight, threads: int | None
-) -> Details:
+def read_details(surface: ObservedMesh, mixes: Sequence[ChannelMix], light: KnownLight, threads: int | None) -> Details:
     """Sample the detail of the surface's vertices in all photographs."""
-    rows = map_ahead(lambda each: _read_one(surface, each, light), photographs, threads)
+    rows = map_ahead(lambda each: _read_one(surface, each, light), mixes, threads)
     details = Details(*(np.stack(columns, axis=1) for columns in zip(*rows, strict=True)))
     details.weights[(details.weights > 0).sum(axis=1) < MIN_OBSERVATIONS] = 0
     return details
 
 
-def _read_one(surface: ObservedMesh, photograph: ChannelMix, light: KnownLight) -> np.ndarray:
+def _read_one(surface: ObservedMesh, mix: ChannelMix, light: KnownLight) -> np.ndarray:
     """Sample one photograph: return its column [4,V] of `Details`, in the order of the fields."""
-    camera, places, normals = photograph.camera, surface.mesh.vertices, surface.mesh.double_normals
-    samples = sample_view(surface, photograph, light)
+    camera, places, normals = mix.photograph.camera, surface.mesh.vertices, surface.mesh.double_normals
+    samples = sample_view(surface, mix, light)
     step = 0.1 * surface.pixel * normals[samples.seen]
     moved = 10 * (camera.project(places[samples.seen] + step)[0] - samples.pixels)
     column = np.zeros((4, len(places)), np.float32)
-    column[0, samples.seen] = read_image(photograph.mixed, samples.pixels) / samples.lit
-    column[1, samples.seen] = (photograph.slopes(samples.pixels) * moved).sum(axis=1) / samples.lit
+    column[0, samples.seen] = read_image(mix.mixed, samples.pixels) / samples.lit
+    column[1, samples.seen] = (mix.slopes(samples.pixels) * moved).sum(axis=1) / samples.lit
     column[3, samples.seen] = samples.weights
     column[:2] = surface.detail(column[:2], column[3] > 0)
     if light.mirrors is not None:
         shine = light.mirrors.mirrored(normals, samples.view_directions)
         fine = shine - surface.around(shine, DETAIL)
         fine = np.sqrt(fine**2 + surface.around(fine**2, DETAIL))
-        column[2, samples.seen] = fine[samples.seen] * photograph.rates(samples.pixels)
+        column[2, samples.seen] = fine[samples.seen] * mix.rates(samples.pixels)
     return column
 
 
@@ -197,15 +192,15 @@ class ViewSamples:
     weights: np.ndarray
 
 
-def sample_view(surface: ObservedMesh, photograph: ChannelMix, light: KnownLight) -> ViewSamples:
+def sample_view(surface: ObservedMesh, mix: ChannelMix, light: KnownLight) -> ViewSamples:
     """Find the vertices that a photograph shows, their pixels and their weights."""
-    camera, places, normals = photograph.camera, surface.mesh.vertices, surface.mesh.double_normals
+    camera, places, normals = mix.photograph.camera, surface.mesh.vertices, surface.mesh.double_normals
     offsets = camera.center - places
     view_directions = offsets / np.linalg.norm(offsets, axis=1, keepdims=True)
     cosines = (view_directions * normals).sum(axis=1)
     seen = seen_frontal(surface.mesh.caster, camera, places, normals, cosines > MIN_COS, surface.pixel)
     pixels, _ = camera.project(places[seen])
-    weights, lit = cosines[seen] * lie_within(photograph.usable, pixels), np.ones(len(seen))
+    weights, lit = cosines[seen] * lie_within(mix.usable, pixels), np.ones(len(seen))
     if light.lighting is not None:
         falling = light.lighting.falling_on(camera, places[seen], normals[seen])
         lit = np.maximum(falling, DIMMEST) ** (1 / GAMMA)

@@ -78,7 +78,7 @@ def fit_environment_map(observations: Observations, normals: np.ndarray, seed: i
     owners = np.nonzero(seen)[0]
     own, eye = normals[points][owners], view_directions[seen]
     rows = _sampling(2 * (eye * own).sum(1, keepdims=True) * own - eye)
-    equations = _Equations(rows, brightness[seen].astype(float), owners)
+    equations = _EnvironmentEquations(rows, brightness[seen].astype(float), owners)
     given = weights[seen].astype(float)
     light, current = np.zeros(rows.shape[1]), given
     for _ in range(ROUNDS):
@@ -94,7 +94,7 @@ def fit_environment_map(observations: Observations, normals: np.ndarray, seed: i
 
 
 @dataclass(frozen=True)
-class _Equations:
+class _EnvironmentEquations:
     """The linear equations of the map: brightness [Q] = rows [Q,HEIGHT*WIDTH] @ light + diffuse brightness.
 
     owners [Q]: the point of each observation. A point's diffuse brightness is the same in all its observations.

@@ -19,7 +19,7 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.shading.environment_fit import FittedEnvironmentMap
 from mgsr.shading.light_models import ENVIRONMENT_EDGE, FRONTAL, fit_mirrored_environment
 from mgsr.shading.observations import Observations
-from mgsr.shading.photo_set import Observer, PhotoSet
+from mgsr.shading.photo_set import PhotoSet
 
 AROUND = 6.0  # pixels over which residuals are averaged
 FEWEST = 3  # least number of observations of a point that counts
@@ -51,7 +51,7 @@ def environment_residuals(meshes: Sequence[Mesh], photos: PhotoSet) -> list[Envi
     for mesh in meshes:
         pixel = photos.pixel_on(mesh)
         coarse = coarser(mesh, ENVIRONMENT_EDGE * pixel)
-        observations = Observer(photos.linear, pixel, photos.threads).observe(coarse)
+        observations = photos.observer(pixel).observe(coarse)
         environment = fit_mirrored_environment(observations, coarse.double_normals)
         read.append((coarse, pixel, observations.frontal(FRONTAL), environment))
     best = min((each[-1] for each in read), key=lambda environment: environment.ratio)

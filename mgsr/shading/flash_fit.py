@@ -58,7 +58,7 @@ def fit_flash(
 
 
 @dataclass(frozen=True)
-class _Equations:
+class _FlashEquations:
     """The shading equations of P points in K photographs each.
 
     to_lens [P,K,3]: the vector to the lens, in the scene's frame and unit. sides [P,K,2,3]: the camera's x and y axes.
@@ -88,14 +88,14 @@ def _equations(
     normals: np.ndarray,
     cameras: Sequence[Camera],
     occlusion: AmbientOcclusion,
-) -> _Equations:
+) -> _FlashEquations:
     """Return the shading equations of points [P,3] with unit normals [P,3], in the scene's frame."""
     to_lens = observations.view_directions.astype(float) * observations.distances[..., None]
     sides = np.stack([camera.cam_from_world[:2, :3] for camera in cameras])[observations.photographs]
     sky_visibility, interreflection = occlusion.at(points, observations.photographs)
     ambient = np.stack([np.broadcast_to(sky_visibility[:, None], interreflection.shape), interreflection], axis=-1)
     cosines, tilts = np.einsum("pki,pi->pk", to_lens, normals), np.einsum("pksi,pi->pks", sides, normals)
-    return _Equations(to_lens, sides, cosines, tilts, ambient)
+    return _FlashEquations(to_lens, sides, cosines, tilts, ambient)
 
 
 def _step(shade: np.ndarray, slopes: np.ndarray, brightness: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from mgsr.geometry.decimate import coarser
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.flash import flash_ratio
 from mgsr.shading.light_models import EnvironmentLight, FlashLight, LightModel, fit_mirrored_environment
-from mgsr.shading.photo_set import Observer, PhotoSet
+from mgsr.shading.photo_set import PhotoSet
 
 # Largest residual ratio of an environment map on an approximate surface; a map with a larger one is rejected.
 MAX_ENVIRONMENT_RATIO = 0.85
@@ -46,8 +46,8 @@ def estimate_light(mesh: Mesh, photos: PhotoSet, max_ratio: float, known: LightE
 
     max_ratio: the largest ratio of an accepted model; above it, the light is unknown. known: the previous estimate.
     """
-    observer = Observer(photos.linear, photos.pixel_on(mesh), photos.threads)
-    coarse, searches = coarser(mesh, COMPARED_EDGE * observer.pixel), known.searches + 1
+    observer, searches = photos.observer(photos.pixel_on(mesh)), known.searches + 1
+    coarse = coarser(mesh, COMPARED_EDGE * observer.pixel)
     observations = observer.observe(coarse)
     by_flash = flash_ratio(observations, coarse.double_normals)
     by_environment = fit_mirrored_environment(observations, coarse.double_normals).ratio

@@ -9,16 +9,12 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from mgsr.data.camera import Camera
-from mgsr.data.images import srgb_to_linear
-from mgsr.data.scene import View, some_of
-from mgsr.data.valid_mask import valid_inside
+from mgsr.data.photograph import Photograph
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
 
 MIN_COS = 0.25  # least cosine between normal and view direction
-SOLID = 0.97  # least alpha; pixels below it mix object and background
-CLIPPED = 0.98  # largest value of the brightest channel; pixels above it are clipped
 KEPT = 24  # most observations of a point, the most frontal ones
 
 
@@ -52,29 +48,9 @@ class Observations:
         return replace(self, weights=np.where(self.weights >= least, self.weights, 0))
 
 
-@dataclass(frozen=True)
-class LinearPhotograph:
-    """A photograph in linear light.
-
-    brightness [H,W] float32: the mean of the channels, 0 at invalid pixels. usable [H,W] bool: the pixels that show the
-    object alone and are not clipped. valid_mask [H,W] bool: the pixels that are valid together with their neighbours;
-    None: all.
-    """
-
-    camera: Camera
-    brightness: np.ndarray
-    usable: np.ndarray
-    valid_mask: np.ndarray | None = None
-
-
-def linear_photographs(views: Sequence[View]) -> list[LinearPhotograph]:
-    """Return `some_of` the views as photographs in linear light."""
-    return [_linear(view) for view in some_of(views)]
-
-
 def observe_photographs(
     mesh: Mesh,
-    photographs: Sequence[LinearPhotograph],
+    photographs: Sequence[Photograph],
     gap: float,
     threads: int | None = None,
     lamps: np.ndarray | None = None,
@@ -131,18 +107,6 @@ def lie_within(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     return read_image(mask.astype(np.float32), pixels) > 0.99
 
 
-def _linear(view: View) -> LinearPhotograph:
-    srgb = view.image.astype(np.float32) / 255
-    linear = srgb_to_linear(srgb).mean(axis=-1)
-    usable = srgb.max(axis=-1) <= CLIPPED
-    if view.alpha is not None:
-        usable &= view.alpha >= SOLID * 255
-    if view.valid_mask is None:
-        return LinearPhotograph(view.camera, linear, usable)
-    valid_mask = valid_inside(view.valid_mask, 1)  # so that interpolation never reads an invalid pixel
-    return LinearPhotograph(view.camera, np.where(view.valid_mask, linear, 0), usable & valid_mask, valid_mask)
-
-
 def _arrays(observations: Observations) -> tuple[np.ndarray, ...]:
     """Return the arrays of the observations, [P,K] or [P,K,3], in the order of the fields."""
     return (
@@ -155,7 +119,7 @@ def _arrays(observations: Observations) -> tuple[np.ndarray, ...]:
 
 
 def _read(
-    mesh: Mesh, photograph: LinearPhotograph, lamp: np.ndarray | None, gap: float
+    mesh: Mesh, photograph: Photograph, lamp: np.ndarray | None, gap: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Sample one photograph at a mesh's V vertices: directions [V,3], distances, brightness and weights [V] each.
 
@@ -167,7 +131,7 @@ def _read(
     distances = np.linalg.norm(offsets, axis=1)
     view_directions = offsets / distances[:, None]
     cosines = (view_directions * normals).sum(1)
-    index = seen_frontal(caster, camera, points, normals, cosines > MIN_COS, gap, photograph.valid_mask)
+    index = seen_frontal(caster, camera, points, normals, cosines > MIN_COS, gap, photograph.interior)
     if lamp is not None:
         index = index[caster.reached(lamp, points[index] + normals[index] * gap, gap)]
     pixels, _ = camera.project(points[index])

@@ -9,11 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from mgsr.data.camera import pixel_size
-from mgsr.data.scene import View
+from mgsr.data.photograph import Photograph
+from mgsr.data.scene import View, some_of
 from mgsr.data.silhouettes import Silhouette
 from mgsr.geometry.contours import SilhouetteContour, find_contour
 from mgsr.geometry.mesh import Mesh
-from mgsr.shading.observations import LinearPhotograph, Observations, linear_photographs, observe_photographs
+from mgsr.shading.observations import Observations, observe_photographs
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +30,9 @@ class PhotoSet:
     threads: int | None = None
 
     @cached_property
-    def linear(self) -> list[LinearPhotograph]:
-        """Return `some_of` the photographs in linear light."""
-        return linear_photographs(self.views)
+    def photographs(self) -> list[Photograph]:
+        """Return the views as photographs, which share their derived images among all steps of a refinement."""
+        return [Photograph(view) for view in self.views]
 
     @cached_property
     def contours(self) -> list[SilhouetteContour]:
@@ -42,12 +43,16 @@ class PhotoSet:
         """Return the size of a pixel at a mesh's centroid, in the scene's unit."""
         return pixel_size([view.camera for view in self.views], mesh.vertices.mean(axis=0))
 
+    def observer(self, pixel: float) -> Observer:
+        """Return an observer of meshes on which a pixel has the size `pixel`, in the scene's unit."""
+        return Observer(some_of(self.photographs), pixel, self.threads)
+
 
 @dataclass(frozen=True)
 class Observer:
-    """Photographs in linear light that observe meshes; pixel: a pixel's size on the meshes, in the scene's unit."""
+    """Photographs that observe meshes; pixel: a pixel's size on the meshes, in the scene's unit."""
 
-    photographs: Sequence[LinearPhotograph]
+    photographs: Sequence[Photograph]
     pixel: float
     threads: int | None
 

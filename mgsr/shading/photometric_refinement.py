@@ -62,16 +62,16 @@ def refine_photometrically(
     pixel = photos.pixel_on(mesh)
     light = KnownLight.known_by(light_model, mesh)
     start = coarser(mesh, options.edge * pixel)
-    few = some_of(photos.views, options.mix_views)
+    few = some_of(photos.photographs, options.mix_views)
     mix = choose_mix(ObservedMesh(start, pixel), few, light, photos.threads)
-    photographs = mix_channels(some_of(photos.views), mix, photos.threads)
+    mixes = mix_channels(some_of(photos.photographs), mix, photos.threads)
     plate = _plate(start.vertices, coarser(start, options.coarse_edge * pixel), reach * pixel)
     moved = start
     for _ in range(options.rounds):
         if not go_on():
             break
         surface = ObservedMesh(moved, pixel)
-        target, weights = _registered(read_details(surface, photographs, light, photos.threads), surface, options)
+        target, weights = _registered(read_details(surface, mixes, light, photos.threads), surface, options)
         gaps, touched = contour_gaps(moved.with_normals(moved.double_normals), photos.contours)
         held = np.minimum(touched, 1) * (options.precision / options.contour_precision) ** 2
         total = weights + held + options.prior_weight

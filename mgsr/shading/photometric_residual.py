@@ -46,8 +46,8 @@ def photometric_residual(
     light = KnownLight.known_by(light_model, mesh)
     coarse = coarser(mesh, options.edge * pixel)
     surface = ObservedMesh(coarse, pixel)
-    photographs = mix_channels(some_of(photos.views), GREY, threads)
-    columns = list(map_ahead(lambda photograph: _column(surface, photograph, light), photographs, threads))
+    mixes = mix_channels(some_of(photos.photographs), GREY, threads)
+    columns = list(map_ahead(lambda mix: _column(surface, mix, light), mixes, threads))
     values, slopes = (np.stack(each, axis=1) for each in zip(*columns, strict=True))
     apart = np.maximum(np.abs(values - _median(values)[:, None]) - options.surface_error * slopes, 0)
     told = np.isfinite(values).sum(axis=1) >= MIN_OBSERVATIONS
@@ -60,16 +60,16 @@ def photometric_residual(
     return np.asarray(coarse.prolongation(mesh.vertices) @ beyond)
 
 
-def _column(surface: ObservedMesh, photograph: ChannelMix, light: KnownLight) -> np.ndarray:
+def _column(surface: ObservedMesh, mix: ChannelMix, light: KnownLight) -> np.ndarray:
     """Return a photograph's values under even light at the vertices, and their slopes, as [2,V]; NaN where unknown.
 
     A slope is the magnitude of the image gradient, per pixel.
     """
-    samples = sample_view(surface, photograph, light)
+    samples = sample_view(surface, mix, light)
     told = np.full((2, len(surface.mesh.vertices)), np.nan, np.float32)
     of_use = samples.weights > 0
     pixels = samples.pixels[of_use]
-    shown = np.stack([read_image(photograph.mixed, pixels), np.linalg.norm(photograph.slopes(pixels), axis=1)])
+    shown = np.stack([read_image(mix.mixed, pixels), np.linalg.norm(mix.slopes(pixels), axis=1)])
     told[:, samples.seen[of_use]] = shown / samples.lit[of_use]
     return told
 

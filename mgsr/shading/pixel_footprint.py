@@ -15,10 +15,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from mgsr.data.photograph import Photograph
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import PixelHits, RayCaster
 from mgsr.parallel import map_ahead
-from mgsr.shading.observations import LinearPhotograph, Observations, read_image
+from mgsr.shading.observations import Observations, read_image
 
 RAYS = 2  # along a pixel's side
 
@@ -26,7 +27,7 @@ RAYS = 2  # along a pixel's side
 def deconvolve(
     observations: Observations,
     mesh: Mesh,
-    photographs: Sequence[LinearPhotograph],
+    photographs: Sequence[Photograph],
     shown: Callable[[int, np.ndarray], np.ndarray],
     threads: int | None = None,
 ) -> Observations:
@@ -53,7 +54,7 @@ def deconvolve(
     return replace(observations, brightness=brightness)
 
 
-def _cast(caster: RayCaster, photograph: LinearPhotograph) -> PixelHits:
+def _cast(caster: RayCaster, photograph: Photograph) -> PixelHits:
     """Cast RAYS x RAYS rays through each of a photograph's U usable pixels; return the hits [U,RAYS,RAYS]."""
     rows, columns = np.nonzero(photograph.usable)
     inside = (np.arange(RAYS) + 0.5) / RAYS

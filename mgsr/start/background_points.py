@@ -8,14 +8,14 @@ they agree at many distances; there the neighbouring directions decide, by itera
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mgsr.data.camera import Camera
 from mgsr.data.loading import reduced_view
 from mgsr.data.scene import PointCloud, View
+from mgsr.data.valid_mask import valid_at
 
 DIRECTIONS = 6000  # spread evenly over the sphere; 2.6 degrees apart
 NEAREST, FARTHEST, LEVELS = 1.5, 40.0, 24  # ball radii from the scene's centre; the distances, even in their inverse
@@ -32,7 +32,7 @@ def background_points(views: Sequence[View], found: np.ndarray) -> PointCloud:
 
     found [P,3]: in the scene's frame, as are the new points.
     """
-    reduced = [_reduced_view(view, found) for view in views[:: -(-len(views) // VIEWS)]]
+    reduced = [_background(view, found) for view in views[:: -(-len(views) // VIEWS)]]
     directions = _directions(DIRECTIONS)
     inverse = np.linspace(1 / FARTHEST, 1 / NEAREST, LEVELS)
     tried = [_agreement(reduced, directions / each) for each in inverse]
@@ -52,26 +52,14 @@ def background_points(views: Sequence[View], found: np.ndarray) -> PointCloud:
     return PointCloud(directions * distance[:, None], color)
 
 
-@dataclass(frozen=True)
-class _ReducedView:
-    """A reduced photograph.
-
-    camera: of the reduced size. image [h,w,3] sRGB 0..1. open [h,w] bool: the pixels that may show the background.
-    """
-
-    camera: Camera
-    image: np.ndarray
-    open: np.ndarray
-
-
-def _reduced_view(view: View, found: np.ndarray) -> _ReducedView:
-    """Reduce a photograph, and mark as open the valid pixels that show none of the found points [P,3]."""
+def _background(view: View, found: np.ndarray) -> View:
+    """Reduce a photograph, and leave valid only the pixels that show none of the found points [P,3]."""
     small = reduced_view(view, min(1.0, SIDE / max(view.camera.width, view.camera.height)))
     free = np.ones(small.image.shape[:2], bool) if small.valid_mask is None else small.valid_mask.copy()
     _, pixels, _ = small.camera.project_inside(found)
     columns, rows = pixels.astype(np.intp).T
     free[rows, columns] = False
-    return _ReducedView(small.camera, small.image / 255.0, free)
+    return replace(small, valid_mask=free)
 
 
 def _directions(count: int) -> np.ndarray:
@@ -82,17 +70,19 @@ def _directions(count: int) -> np.ndarray:
     return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
 
 
-def _agreement(reduced: Sequence[_ReducedView], places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compare the photographs' colours at points [D,3] of the scene.
+def _agreement(reduced: Sequence[View], places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compare the photographs' colours at points [D,3] of the scene, where their pixels are valid.
 
     Returns the colours' standard deviation [D] and mean [D,3], sRGB 0..1, and the number [D] of photographs.
     """
     count, total, squares = np.zeros(len(places)), np.zeros((len(places), 3)), np.zeros((len(places), 3))
     for view in reduced:
         index, pixels, _ = view.camera.project_inside(places)
+        if view.valid_mask is not None:
+            free = valid_at(view.valid_mask, pixels)
+            index, pixels = index[free], pixels[free]
         columns, rows = pixels.astype(np.intp).T
-        free = view.open[rows, columns]
-        index, color = index[free], view.image[rows[free], columns[free]]
+        color = view.image[rows, columns] / 255.0
         count[index] += 1
         total[index] += color
         squares[index] += color * color

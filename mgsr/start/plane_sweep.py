@@ -82,7 +82,7 @@ def _swept_view(view: View) -> _SweptView:
     camera, image, valid_mask = view.camera, view.image.astype(np.float32), view.valid_mask
     shrink = SIDE / max(camera.width, camera.height)
     if shrink < 1:
-        camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
+        camera = camera.scaled(shrink)
         size = (camera.width, camera.height)
         image, valid_mask = valid_mean(image, valid_mask, lambda pixels: reduce_area(pixels, *size))
     image = filled(image, valid_mask)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,10 +14,10 @@ from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.light_estimate import LightKind
-from mgsr.shading.lighting import Lighting
 from mgsr.start.background_points import background_points
 from mgsr.start.masked_surface import find_surface
 from mgsr.start.plane_sweep import sweep_planes
+from mgsr.start.points import StartingPoints, StartSource
 from mgsr.start.view_colors import seen_colors
 
 RESOLUTION = 128
@@ -40,38 +39,6 @@ MAX_SPACING = 8.0
 
 # Points with a larger coordinate than this, in ball radii, are wrong.
 MAX_DISTANCE = 50.0
-
-
-class StartSource(StrEnum):
-    """The source of the starting points.
-
-    capture: the capture's own points. hull: the visual hull of the masks, or the surface found inside it. stereo:
-    plane-sweep stereo. ball: a random ball.
-    """
-
-    CAPTURE = "capture"
-    HULL = "hull"
-    STEREO = "stereo"
-    BALL = "ball"
-
-
-@dataclass(frozen=True)
-class StartingPoints:
-    """The points on which training begins.
-
-    positions [P,3]: float64, in the scene's frame. colors [P,3]: uint8 sRGB. normals [P,3]: outward unit normals, None
-    if the surface is unknown. shiny: whether a flash or a mirrored environment map explains how brightness changes
-    between views; None if that was not examined. lighting: a flash's light on the surface, None without a flash.
-    surface: the mesh that the points lie on, None without masks.
-    """
-
-    positions: np.ndarray
-    colors: np.ndarray
-    source: StartSource
-    normals: np.ndarray | None = None
-    shiny: bool | None = None
-    lighting: Lighting | None = None
-    surface: Mesh | None = None
 
 
 def starting_points(

@@ -40,7 +40,7 @@ class StereoPhotographs:
 
     def reduced(self, share: float) -> StereoPhotographs:
         """Reduce the photographs' sides by the factor `share`; each new pixel is the mean over its area."""
-        cameras = [_resized(camera, share) for camera in self.cameras]
+        cameras = [camera.scaled(share, least=2) for camera in self.cameras]
         pairs = zip(self.images, cameras, strict=True)
         return StereoPhotographs([reduce_area(image, each.width, each.height) for image, each in pairs], cameras)
 
@@ -74,13 +74,9 @@ def _prepared(view: View, shrink: float) -> tuple[np.ndarray, Camera]:
     alpha = np.full(view.image.shape[:2], 255, np.uint8) if view.alpha is None else view.alpha
     pixels: np.ndarray = np.concatenate([view.image, alpha[..., None]], axis=-1).astype(np.float32)
     if shrink < 1:
-        camera = _resized(camera, shrink)
+        camera = camera.scaled(shrink, least=2)
         pixels, known = valid_mean(pixels, known, lambda each: reduce_area(each, camera.width, camera.height))
     pixels = filled(pixels, known).astype(np.float32) / 255
     if known is not None:
         pixels[..., 3] = np.where(known, pixels[..., 3], 0)
     return np.ascontiguousarray(pixels, np.float32), camera
-
-
-def _resized(camera: Camera, share: float) -> Camera:
-    return camera.resized(max(2, round(camera.width * share)), max(2, round(camera.height * share)))

@@ -14,7 +14,7 @@ from scipy import ndimage
 from mgsr.config import Config, make_config
 from mgsr.data.scene import Scene, View
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.start.starting_points import StartingPoints
+from mgsr.start.points import StartingPoints
 from mgsr.training.run import Training
 
 BESIDE = 0.005  # share of the photograph's longer side around the masks that training ignores

@@ -1,10 +1,11 @@
-"""The PSNR of a branch on views, for the curve and the convergence test."""
+"""Renders during training: their PSNR for the curve and the convergence test, and previews for the user."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,10 +18,10 @@ from mgsr.renderers.surfels import render_surfels
 from mgsr.training.views import TrainingView, color_tensor
 
 # A branch's image [H,W,3] of a camera, on a background, shaded as `TrainingView.shading` says.
-Picture = Callable[[Camera, Color, Tensor | None], Tensor]
+RenderFunction = Callable[[Camera, Color, Tensor | None], Tensor]
 
 
-def surfel_picture(model: SurfelModel) -> Picture:
+def surfel_picture(model: SurfelModel) -> RenderFunction:
     """Return a function that renders the 2D branch."""
 
     def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:
@@ -29,7 +30,7 @@ def surfel_picture(model: SurfelModel) -> Picture:
     return picture
 
 
-def gaussian_picture(model: TrainedModel) -> Picture:
+def gaussian_picture(model: TrainedModel) -> RenderFunction:
     """Return a function that renders the 3D branch, including the environment map's reflection in the surface.
 
     The 2D branch is rendered only where it is that surface.
@@ -45,7 +46,7 @@ def gaussian_picture(model: TrainedModel) -> Picture:
 
 
 @torch.no_grad()
-def mean_psnr(picture: Picture, views: list[TrainingView], background: Color) -> float:
+def mean_psnr(picture: RenderFunction, views: list[TrainingView], background: Color) -> float:
     """Return the mean PSNR, dB, of a branch over views, with images clipped to 0..1.
 
     Only pixels that the photographs show count. background: the colour behind the splats and the photographs with
@@ -61,3 +62,22 @@ def mean_psnr(picture: Picture, views: list[TrainingView], background: Color) ->
         error = float(squares.mean())
         values.append(-10 * math.log10(max(error, 1e-10)))
     return sum(values) / len(values)
+
+
+@torch.no_grad()
+def preview_pictures(model: TrainedModel, view: TrainingView, background: Color) -> dict[str, np.ndarray]:
+    """Render pictures uint8 [H,W,3] of a view, before a background.
+
+    render: of the rendering branch, or the only one; normals: of the surface, world axes as colours, grey off the
+    surface; transmitted and reflected: the halves of the light, where it is split.
+    """
+    color = color_tensor(background, model.device)
+    flat, full = render_both(model, view.camera, color, depth=False, shading=view.shading())
+    images: dict[str, Tensor] = {}
+    if flat is not None:
+        images = {"render": flat.color, "normals": flat.normal * 0.5 + 0.5}
+    if full is not None:
+        images["render"] = full.color
+        if full.reflected is not None and full.weight is not None:
+            images |= {"transmitted": full.transmitted, "reflected": full.weight[..., None] * full.reflected}
+    return {name: (image.clamp(0, 1) * 255).round().to(torch.uint8).cpu().numpy() for name, image in images.items()}

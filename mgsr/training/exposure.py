@@ -22,9 +22,9 @@ from mgsr.data.scene import Exposures, Scene, View
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.parallel import one_torch_thread
 from mgsr.start.point_exposures import point_exposures
+from mgsr.start.points import StartingPoints
 from mgsr.training.evaluate import gaussian_picture
 from mgsr.training.proxy_model import small_view, train_proxy_model
-from mgsr.training.train_state import StartingPoints
 
 DEGREES = 0, 2  # candidate harmonic degrees; a matte scene is fitted better without harmonics
 ITERATIONS, ROUNDS = 150, 3  # iterations of each training, and rounds that reuse the factors found so far

@@ -10,7 +10,7 @@ import torch
 from mgsr.config import GaussianConfig
 from mgsr.data.backdrop import Color
 from mgsr.densify.error_driven import (
-    RenderedView,
+    ViewResidual,
     new_points,
     not_contradicted,
     planned_changes,
@@ -57,11 +57,11 @@ class ErrorGrowth:
         branch.exchange(kept, new)
 
     @torch.no_grad()
-    def _rendered(self, view: TrainingView) -> RenderedView:
+    def _rendered(self, view: TrainingView) -> ViewResidual:
         behind = color_tensor(self.behind, self.branch.device)
         _, shown = render_both(self.train_state.model.for_gaussians(), view.camera, behind, shading=view.shading())
         assert shown is not None and shown.depth is not None
         target = view.target(behind)
         color, wanted = target.compared(shown.color, target.color)
         base = shown.transmitted if shown.unlit is None else shown.unlit
-        return RenderedView(view.camera, wanted - color, base, shown.depth, target.valid_weights(shown.alpha))
+        return ViewResidual(view.camera, wanted - color, base, shown.depth, target.valid_weights(shown.alpha))

@@ -24,7 +24,8 @@ from mgsr.errors import SceneError
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.parallel import one_torch_thread
 from mgsr.renderers.gaussians import render_gaussians
-from mgsr.start.starting_points import StartingPoints, ball_points, hull_points
+from mgsr.start.points import StartingPoints
+from mgsr.start.starting_points import ball_points, hull_points
 from mgsr.training.proxy_model import POINTS, SIDE, small_view, train_proxy_model
 
 DEGREE = 2  # of the colours' harmonics

@@ -15,6 +15,7 @@ from mgsr.densify.clearance import Clearance
 from mgsr.densify.contribution import contributions, least_contributing
 from mgsr.errors import TrainingError
 from mgsr.gaussians.reflector import Reflector
+from mgsr.start.points import StartingPoints
 from mgsr.training.branch import Branch
 from mgsr.training.convergence import make_convergence
 from mgsr.training.evaluate import mean_psnr
@@ -31,7 +32,7 @@ from mgsr.training.stages import (
     gaussians_alone,
     surfels_alone,
 )
-from mgsr.training.train_state import StartingPoints, TrainState, make_train_state, seeded
+from mgsr.training.train_state import TrainState, make_train_state, seeded
 from mgsr.training.trainable import Trainable
 from mgsr.training.views import CPU, TrainingView, ViewCycle, prepare_views
 

@@ -13,9 +13,9 @@ import torch
 from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.parallel import one_torch_thread
+from mgsr.start.points import StartingPoints
 from mgsr.training.plan import make_plan
 from mgsr.training.stage_scheduler import FINISH, StageLength
-from mgsr.training.train_state import StartingPoints
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,10 +12,11 @@ from mgsr.data.backdrop import Color
 from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene, View
 from mgsr.gaussians.gaussians import GaussianModel
+from mgsr.start.points import StartingPoints
 from mgsr.start.view_colors import seen_colors
 from mgsr.training.plan import Plan
 from mgsr.training.stages import Stage, Step, gaussians_alone
-from mgsr.training.train_state import StartingPoints, make_train_state, seeded
+from mgsr.training.train_state import make_train_state, seeded
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU, TrainingView, ViewCycle, prepare_views
 
@@ -71,18 +72,9 @@ def train_proxy_model(
     return branch.model
 
 
-@dataclass(frozen=True)
-class _Few:
-    """Some of the starting points, in the colours of some views."""
-
-    positions: np.ndarray
-    normals: np.ndarray | None
-    colors: np.ndarray
-    shiny: bool | None = None
-
-
-def _few(start: StartingPoints, views: Sequence[View], seed: int) -> _Few:
+def _few(start: StartingPoints, views: Sequence[View], seed: int) -> StartingPoints:
+    """Draw some of the starting points, in the colours of some views."""
     rows = np.sort(np.random.default_rng(seed).permutation(len(start.positions))[:POINTS])
     positions = start.positions[rows]
     normals = None if start.normals is None else start.normals[rows]
-    return _Few(positions, normals, seen_colors(views, positions, normals))
+    return StartingPoints(positions, seen_colors(views, positions, normals), start.source, normals)

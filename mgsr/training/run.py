@@ -14,11 +14,11 @@ from mgsr.errors import GpuError, LostCardError
 from mgsr.gaussians.reflector import Reflector
 from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import one_torch_thread
+from mgsr.start.points import StartingPoints
 from mgsr.training.checkpoint import fingerprint
 from mgsr.training.plan import make_plan
 from mgsr.training.progress import ProgressCallback, TrainResult
 from mgsr.training.stage_scheduler import FINISH, StageScheduler
-from mgsr.training.train_state import StartingPoints
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,31 +13,12 @@ from mgsr.data.scene import Scene
 from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.gaussians.start import start_gaussians, start_surfels
 from mgsr.gaussians.trained_model import TrainedModel
+from mgsr.start.points import StartingPoints
 from mgsr.training.branch import Branch
 from mgsr.training.environment_map import EnvironmentMapTrainer
-from mgsr.training.evaluate import Picture, gaussian_picture, surfel_picture
+from mgsr.training.evaluate import RenderFunction, gaussian_picture, surfel_picture
 from mgsr.training.stages import GaussianBranch, SurfelBranch
 from mgsr.training.trainable import Trainable
-
-
-class StartingPoints(Protocol):
-    """The points where splats begin.
-
-    positions [P,3] in the scene's frame, normals [P,3] or None, colors [P,3]; shiny: whether brightness changes from
-    view to view as gloss does, None if that was not examined.
-    """
-
-    @property
-    def positions(self) -> np.ndarray: ...
-
-    @property
-    def normals(self) -> np.ndarray | None: ...
-
-    @property
-    def colors(self) -> np.ndarray: ...
-
-    @property
-    def shiny(self) -> bool | None: ...
 
 
 @dataclass(frozen=True)
@@ -71,7 +52,7 @@ class TrainState:
             None if light is None or not light.used else light.model,
         )
 
-    def picture(self, branch: str) -> Picture:
+    def picture(self, branch: str) -> RenderFunction:
         """Return a function that renders a branch, surfels or gaussians, as it stands."""
         model = self.model
         if branch == "surfels":

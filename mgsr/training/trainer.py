@@ -8,14 +8,15 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mgsr.config import TrainConfig
 from mgsr.errors import Cancelled
 from mgsr.losses.loss import Loss
 from mgsr.training.checkpoint import load_checkpoint, save_checkpoint
-from mgsr.training.evaluate import mean_psnr
+from mgsr.training.evaluate import mean_psnr, preview_pictures
 from mgsr.training.guard import Guard
 from mgsr.training.plan import Plan
-from mgsr.training.previews import preview_pictures
 from mgsr.training.progress import CurveRow, Progress, ProgressCallback, StageReport
 from mgsr.training.stage_scheduler import StageScheduler
 from mgsr.training.stages import ModelSelection, Stage, Step
@@ -265,8 +266,14 @@ class Trainer:
             losses={name: float(term) for name, term in loss.terms.items()},
             counts=self._counts(),
             psnr=self.curve[-1].psnr if self.curve else None,
-            previews=preview_pictures(self.plan) if due else {},
+            previews=self._previews() if due else {},
         )
+
+    def _previews(self) -> dict[str, np.ndarray]:
+        """Return pictures of the first view that the curve looks at, or else the first to train on."""
+        plan = self.plan
+        view = (plan.curve_views or plan.stages[-1].views)[0]
+        return preview_pictures(plan.train_state.model, view, plan.backdrop.color)
 
     def _done(self, stage: Stage) -> float:
         planned = sum(each.iterations for each in self.plan.stages)

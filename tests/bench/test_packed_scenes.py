@@ -12,8 +12,8 @@ import torch
 from benchmarks.packed_scenes import Packed, pack, read, spread, unpack
 from mgsr.config import Config, make_config
 from mgsr.data.scene import Scene, View
+from mgsr.start.points import StartingPoints
 from mgsr.training.run import Training
-from mgsr.training.train_state import StartingPoints
 from tests.training.ball import ball_points, ball_scene
 
 SETTINGS = ("warmup.surfel_iterations=10", "warmup.gaussian_iterations=10", "mutual.iterations=10", "reflection=both")

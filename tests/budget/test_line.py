@@ -6,31 +6,31 @@ from dataclasses import replace
 
 import pytest
 
-from mgsr.budget.line import HIGHEST, LOWEST, Line, value_at
+from mgsr.budget.line import HIGHEST, LOWEST, SettingsLine, value_at
 from mgsr.config import METHODS, PRESETS, make_config
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(("place", "preset"), list(enumerate(PRESETS)))
 def test_presets_are_points_on_it(place: int, preset: str, method: str) -> None:
-    found = Line(make_config("standard", method)).at(place)
+    found = SettingsLine(make_config("standard", method)).at(place)
     assert replace(found, preset=preset) == make_config(preset, method)
 
 
 def test_what_the_caller_has_set_stays() -> None:
-    line = Line(make_config(overrides=["mesh.poisson_depth=5", "surfels.max_start=777", "seed=3"]))
+    line = SettingsLine(make_config(overrides=["mesh.poisson_depth=5", "surfels.max_start=777", "seed=3"]))
     for place in (LOWEST, 0.4, HIGHEST):
         config = line.at(place)
         assert (config.mesh.poisson_depth, config.train.surfels.max_start, config.seed) == (5, 777, 3)
 
 
 def test_the_preset_that_is_named_does_not_matter() -> None:
-    found = {replace(Line(make_config(preset)).at(0.6), preset="") for preset in PRESETS}
+    found = {replace(SettingsLine(make_config(preset)).at(0.6), preset="") for preset in PRESETS}
     assert len(found) == 1
 
 
 def test_it_rises() -> None:
-    configs = [Line(make_config()).at(place) for place in (LOWEST, -0.2, 0.0, 0.3, 1.0, 1.7, HIGHEST)]
+    configs = [SettingsLine(make_config()).at(place) for place in (LOWEST, -0.2, 0.0, 0.3, 1.0, 1.7, HIGHEST)]
     counts = [config.train.gaussians.max_start for config in configs]
     assert counts == sorted(set(counts))
     lengths = [config.train.mutual.iterations for config in configs]

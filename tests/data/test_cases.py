@@ -108,7 +108,7 @@ def test_cases(cases: Path, case: Case) -> None:
     scene = load_scene(cases / case.path, DataConfig())
     assert (scene.format, scene.masked) == (case.format, case.masked)
     assert len(scene.train) + len(scene.test) == case.photographs
-    notes = scene_facts(scene).get("notes", [])
+    notes = scene_facts(scene).notes or []
     assert len(notes) == len(case.notes), notes
     for note, pattern in zip(notes, case.notes, strict=True):
         assert re.match(pattern, note), note

@@ -13,7 +13,7 @@ from pillow_heif import from_pillow
 
 from mgsr.data.camera_tags import CameraTags, read_tags
 from mgsr.data.images import image_size
-from mgsr.data.shared_lenses import Shot, describe_lenses, share_lenses
+from mgsr.data.shared_lenses import PhotoFile, describe_lenses, share_lenses
 
 # Exif 2.32: tags of the main directory, and of the Exif directory that it points to.
 MAKE, MODEL, ORIENTATION, EXIF = 0x010F, 0x0110, 0x0112, 0x8769
@@ -47,9 +47,9 @@ def groups(root: Path) -> list[list[str]]:
     return [[shot.name for shot in lens.shots] for lens in share_lenses(shots(root))]
 
 
-def shots(root: Path) -> list[Shot]:
+def shots(root: Path) -> list[PhotoFile]:
     paths = sorted(path for path in root.rglob("*") if path.is_file())
-    return [Shot(path.relative_to(root).as_posix(), image_size(path, "test"), read_tags(path)) for path in paths]
+    return [PhotoFile(path.relative_to(root).as_posix(), image_size(path, "test"), read_tags(path)) for path in paths]
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".heic"])

@@ -12,7 +12,7 @@ from mgsr.config import GaussianDensifyConfig, Growth, gaussian_settings, make_c
 from mgsr.data.camera import Camera
 from mgsr.densify.contribution import contributions
 from mgsr.densify.error_driven import (
-    RenderedView,
+    ViewResidual,
     new_points,
     not_contradicted,
     planned_changes,
@@ -36,14 +36,14 @@ def turned_camera() -> Camera:
     return Camera(np.array([[25.0, 0, 14.0], [0, 25.0, 11.0], [0, 0, 1]]), pose, WIDTH, HEIGHT)
 
 
-def rendered(wanted: torch.Tensor) -> RenderedView:
+def rendered(wanted: torch.Tensor) -> ViewResidual:
     """Return a grey rendering of a surface 3.5 in front of the camera, beside what it should be."""
     grey = torch.full((HEIGHT, WIDTH, 3), 0.5)
     plane = torch.ones(HEIGHT, WIDTH)
-    return RenderedView(turned_camera(), wanted - grey, grey - 0.1, 3.5 * plane, plane)
+    return ViewResidual(turned_camera(), wanted - grey, grey - 0.1, 3.5 * plane, plane)
 
 
-def with_patch(color: float) -> RenderedView:
+def with_patch(color: float) -> ViewResidual:
     """Return a rendering that lacks a patch of 5 x 5 pixels."""
     wanted = torch.full((HEIGHT, WIDTH, 3), 0.5)
     wanted[8:13, 10:15] = color
@@ -142,7 +142,7 @@ def test_those_that_carry_least_make_room() -> None:
     positions = np.random.default_rng(0).normal(scale=0.3, size=(40, 3))
     model = start_gaussians(positions, None, np.full((40, 3), 0.5), CONFIG, torch.Generator(), split=False)
     nothing = torch.zeros(24, 24)
-    views = [RenderedView(view.camera, *(nothing,) * 4) for view in scene.train]
+    views = [ViewResidual(view.camera, *(nothing,) * 4) for view in scene.train]
     kept = without_least_contributing(model, views, 15)
     light = contributions(model, [view.camera for view in scene.train])
     assert len(kept) == 25

@@ -9,15 +9,15 @@ import pytest
 from PIL import Image
 
 from mgsr.errors import SceneError
-from mgsr.export.renders import RenderedView, straight_color, write_view
+from mgsr.export.renders import Rendering, straight_color, write_view
 
 
-def view() -> RenderedView:
+def view() -> Rendering:
     random = np.random.default_rng(0)
     alpha = random.random((5, 7))
     alpha[0, :3] = (0, 1, 0.002)
     normal = random.normal(size=(5, 7, 3))
-    return RenderedView(
+    return Rendering(
         color=random.random((5, 7, 3)),
         alpha=alpha,
         transmitted=random.random((5, 7, 3)),
@@ -49,7 +49,6 @@ def test_all_maps_come_back(tmp_path: Path) -> None:
     assert given.weight is not None
     np.testing.assert_allclose(read(paths[3]) / 255, given.weight, atol=0.5 / 255 + 1e-9)
     normal = read(paths[5])[..., :3] / 127.5 - 1
-    assert given.normal is not None
     np.testing.assert_allclose(normal * given.alpha[..., None], given.normal, atol=0.01)
 
 
@@ -59,14 +58,13 @@ def test_depth_is_in_the_users_unit(tmp_path: Path) -> None:
     image = Image.open(path)
     assert np.asarray(image).dtype in (np.uint16, np.int32)
     depth = np.asarray(image).astype(np.float64) * float(image.info["depth_scale"])
-    assert given.depth is not None
     np.testing.assert_allclose(depth, given.depth, atol=4 / 65535)
     assert (depth[given.depth == 0] == 0).all()
 
 
 def test_only_what_is_there_is_written(tmp_path: Path) -> None:
-    bare = RenderedView(np.zeros((2, 3, 3)), np.zeros((2, 3)), depth=np.zeros((2, 3)))
-    assert [path.name for path in write_view(tmp_path, "r_0", bare)] == ["r_0.png", "r_0_depth.png"]
+    bare = Rendering(*(np.zeros(shape) for shape in ((2, 3, 3), (2, 3), (2, 3), (2, 3, 3))))
+    assert [path.name for path in write_view(tmp_path, "r_0", bare)] == ["r_0.png", "r_0_depth.png", "r_0_normal.png"]
     assert (read(tmp_path / "r_0_depth.png") == 0).all()
 
 

@@ -10,7 +10,7 @@ import trimesh
 
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply
-from mgsr.export.renders import RenderedView, write_view
+from mgsr.export.renders import Rendering, write_view
 from mgsr.export.splats import write_splats
 from tests.export.test_mesh_files import mesh_and_colors
 
@@ -63,18 +63,19 @@ def _splats(middle: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def _view() -> RenderedView:
+def _view() -> Rendering:
     """Return a grey square with a reflection on its right half, brighter under even light."""
     flat = np.ones((SIZE, SIZE, 3))
     right = np.zeros((SIZE, SIZE))
     right[:, SIZE // 2 :] = WEIGHT
     reflected = flat * REFLECTED
-    return RenderedView(
+    return Rendering(
         color=flat * TRANSMITTED + right[..., None] * reflected,
         alpha=np.ones((SIZE, SIZE)),
+        depth=np.ones((SIZE, SIZE)),
+        normal=flat,
         transmitted=flat * TRANSMITTED,
         reflected=reflected,
         weight=right,
-        normal=flat,
         unlit=flat * EVEN,
     )

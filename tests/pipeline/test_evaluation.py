@@ -16,8 +16,9 @@ from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, Similarity, View
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.evaluation import find_truth, image_scores, off_white, surface_scores
-from mgsr.pipeline.rendering import ViewImages
+from mgsr.pipeline.rendering import RenderedView
 from tests.metrics.altered import SCENE, altered_image, load
+from tests.optional import present
 
 GOLDEN = Path(__file__).parents[1] / "metrics" / "golden"
 SURFACE = {"chamfer": "chamfer", "accuracy": "acc", "completeness": "comp", "mask_iou": "mask_iou"}
@@ -55,7 +56,7 @@ def visual_hull(root: Path) -> trimesh.Trimesh:
 def test_a_mesh_scores_what_the_reference_says(scene: Scene, kind: str) -> None:
     floor = kind == "floor"
     mesh = trimesh.load_mesh(scene.root / "mesh_gt.ply", process=False) if floor else visual_hull(scene.root)
-    values = surface_scores(as_mesh(mesh), find_truth(scene), scene)["gt"]
+    values = present(surface_scores(as_mesh(mesh), find_truth(scene), scene))
     golden = json.loads((GOLDEN / f"{SCENE}_{kind}.json").read_text())
     for ours, theirs in SURFACE.items():
         # Against itself the truth's angle is the reference's half-precision maps, 0.01 degrees; ours has none.
@@ -67,18 +68,18 @@ def test_renders_score_what_the_reference_says(scene: Scene) -> None:
     scores = image_scores([altered(view, scene) for view in scene.test], scene)
     golden = json.loads((GOLDEN / f"{SCENE}.json").read_text())
     for ours, theirs in IMAGES.items():
-        assert scores[ours] == pytest.approx(golden[theirs], rel=1e-5, abs=1e-5), ours
+        assert getattr(scores, ours) == pytest.approx(golden[theirs], rel=1e-5, abs=1e-5), ours
     for name in ("split_psnr", "split_photo", "split_gain"):
-        assert scores["split"][name] == pytest.approx(golden[name], rel=1e-5, abs=1e-5), name
-    assert len(scores["views"]) == len(scene.test)
+        assert getattr(scores.split, name) == pytest.approx(golden[name], rel=1e-5, abs=1e-5), name
+    assert len(scores.views) == len(scene.test)
 
 
-def altered(view: View, scene: Scene) -> ViewImages:
+def altered(view: View, scene: Scene) -> RenderedView:
     """Return the blurred photographs that the reference was given, as the renderer would have them."""
     photo = load(scene.root / "test" / f"{view.name}.png")
     color, transmitted = (altered_image(photo, sigma).astype(np.float32) / 255 for sigma in (1.0, 3.0))
     alpha, nothing = color[..., 3:], np.zeros(color.shape[:2], np.float32)
-    return ViewImages(
+    return RenderedView(
         view.name,
         view.camera,
         color[..., :3] * alpha,
@@ -91,14 +92,14 @@ def altered(view: View, scene: Scene) -> ViewImages:
 
 def test_without_a_truth_there_is_nothing_to_compare_with(tmp_path: Path) -> None:
     scene = round_scene(tmp_path)
-    assert surface_scores(as_mesh(trimesh.creation.icosphere()), find_truth(scene), scene) == {"gt": None}
+    assert surface_scores(as_mesh(trimesh.creation.icosphere()), find_truth(scene), scene) is None
 
 
 def test_cameras_stand_in_for_the_labels(tmp_path: Path) -> None:
     truth = trimesh.creation.icosphere(subdivisions=3)
     truth.export(tmp_path / "mesh_gt.ply")
     scene = round_scene(tmp_path)
-    values = surface_scores(as_mesh(truth), find_truth(scene), scene)["gt"]
+    values = present(surface_scores(as_mesh(truth), find_truth(scene), scene))
     # A million samples on a ball lie 3.5e-3 apart, so about half of that is found even where all is right.
     assert values["chamfer"] < 3e-3
     assert values["mask_iou"] == 1

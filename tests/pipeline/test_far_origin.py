@@ -180,7 +180,7 @@ def test_scores_against_a_truth_are_those_of_the_same_scene_at_the_origin(
         scene = load_scene(folder, DataConfig())
         truth = find_truth(scene)
         assert truth is not None
-        scores.append(surface_scores(larger, truth, scene)["gt"])
+        scores.append(surface_scores(larger, truth, scene))
         counts.append(truth.view_counts)
     assert scores[1] == pytest.approx(scores[0], rel=1e-3, abs=1e-3)
     # Where two spheres meet, points lie as near to a surface as float32 can tell.

@@ -26,7 +26,8 @@ from mgsr.pipeline.meshing import make_mesh
 from mgsr.pipeline.rendering import render_views, scene_silhouettes
 from mgsr.pipeline.report_pictures import draw_surface, report_pictures
 from mgsr.pipeline.run_metadata import scene_facts
-from mgsr.start.starting_points import StartingPoints, starting_points
+from mgsr.start.points import StartingPoints
+from mgsr.start.starting_points import starting_points
 from mgsr.training.run import Training
 from tests.data.fisheye import write_fisheye
 from tests.optional import present
@@ -80,7 +81,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
     yield "reduced views", [(view.image[view.valid_mask], view.valid_mask) for view in map(_halved, scene.train)]
     for each in scene_silhouettes(scene):
         yield "silhouette", (each.distance, each.valid_mask)
-    yield "facts", sorted(map(str, scene_facts(scene).items()))
+    yield "facts", repr(scene_facts(scene))
     start = starting_points(scene, 400, 0)
     yield "brightness", brightness_jumps(scene.train)
     yield "start", [start.positions, start.colors, start.normals, start.shiny]

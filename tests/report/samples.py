@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
-from mgsr.report.data import CurvePoint, MeshFacts, ReportData, StageRun
+from mgsr.report.data import (
+    CurvePoint,
+    FrameFacts,
+    InputFacts,
+    MachineFacts,
+    MeshFacts,
+    ReportData,
+    SplitFacts,
+    StageRun,
+    StartFacts,
+)
 from mgsr.report.pictures import ReportPictures, SurfacePictures, TestViewPictures
 from mgsr.report.shading import PaintedMesh
 
@@ -28,14 +39,18 @@ def sample_report(scene: str = "bunny_flash", command: str = "mgsr-worker run bu
         gt={"chamfer": 0.00213, "accuracy": 0.0019, "completeness": 0.0024, "f_005": 0.948,
             "normal_consistency": 0.978, "normal_error": 6.4},
         peak_memory_mib=1342.0, command=command,
-        other={
-            "input": {"train_views": [f"r_{i}" for i in range(48)], "test_views": ["r_0"], "image_size": [256, 256],
-                      "masked": True, "points": 0, "starting_points": {"source": "hull", "count": 9000}},
-            "settings": {"mesh": {"extractor": "poisson", "close_holes": False}},
-            "machine": {"cores": 2, "kernels": "avx512"}, "psnr_fg_test": 29.9,
-            "split": {"split_psnr": 33.1, "split_photo": 29.1, "split_gain": 4.0},
-        },
+        input=InputFacts(
+            "bunny_flash", "nerfstudio", [f"r_{i}" for i in range(48)], ["r_0"], [256, 256], True, 0,
+            FrameFacts(1.0, [0.0, 0.0, 0.0]), starting_points=StartFacts("hull", 9000),
+        ),
+        settings={"mesh": {"extractor": "poisson", "close_holes": False}},
+        machine=MachineFacts("Linux", "x86_64", 2, "avx512"), psnr_fg_test=29.9, split=SplitFacts(33.1, 29.1, 4.0),
     )  # fmt: skip
+
+
+def bare_report() -> ReportData:
+    """Return the sample without all that a report may lack."""
+    return replace(sample_report(), input=None, settings=None, machine=None, psnr_fg_test=None, split=None)
 
 
 def sample_pictures(name: str = "r_0", views: int = 2, size: int = 24) -> ReportPictures:

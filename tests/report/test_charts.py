@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 
-from mgsr.report.charts import HEIGHT, WIDTH, Axes, Boundary, Line, line_chart, short_number, ticks
+from mgsr.report.charts import HEIGHT, WIDTH, Axes, Boundary, Series, line_chart, short_number, ticks
 
 AXES = Axes("Error", "seconds", "dB")
 
@@ -27,7 +27,7 @@ def test_short_numbers() -> None:
 
 def test_points_lie_inside_and_rise_upwards() -> None:
     stages = [Boundary(0, "one"), Boundary(10, "two")]
-    chart = line_chart([Line("2D", "a", [(0, 20), (10, 30), (20, 35)])], AXES, stages)
+    chart = line_chart([Series("2D", "a", [(0, 20), (10, 30), (20, 35)])], AXES, stages)
     root = ElementTree.fromstring(chart)
     path = next(each.attrib["d"] for each in root.iter("path"))
     places = [tuple(map(float, pair.split())) for pair in re.split("[ML]", path)[1:]]
@@ -36,7 +36,7 @@ def test_points_lie_inside_and_rise_upwards() -> None:
 
 
 def test_labels_of_lines_that_end_together_stand_apart() -> None:
-    lines = [Line("2D", "a", [(0, 20), (9, 30)]), Line("3D", "b", [(0, 21), (9, 30)])]
+    lines = [Series("2D", "a", [(0, 20), (9, 30)]), Series("3D", "b", [(0, 21), (9, 30)])]
     root = ElementTree.fromstring(line_chart(lines, AXES))
     heights = sorted(float(each.attrib["y"]) for each in root.iter("text") if "label" in each.get("class", ""))
     assert all(after - before >= 14 for before, after in pairwise(heights))
@@ -45,10 +45,10 @@ def test_labels_of_lines_that_end_together_stand_apart() -> None:
 
 @pytest.mark.parametrize("points", [[(0.0, 5.0)], [(0.0, 0.0), (0.0, 0.0)], [(3.0, 7.0), (4.0, 7.0)]])
 def test_flat_and_single_points_have_a_chart(points: list[tuple[float, float]]) -> None:
-    chart = line_chart([Line("<&>", "a", points)], Axes("<&>", "<", "&", True))
+    chart = line_chart([Series("<&>", "a", points)], Axes("<&>", "<", "&", True))
     ElementTree.fromstring(chart)
     assert "nan" not in chart and "inf" not in chart
 
 
 def test_no_points_no_chart() -> None:
-    assert line_chart([Line("2D", "a", [])], AXES) == ""
+    assert line_chart([Series("2D", "a", [])], AXES) == ""

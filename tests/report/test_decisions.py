@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from mgsr.report.data import Decision, StageRun
+from mgsr.report.data import BudgetFacts, Decision, FlashFacts, MeshStepRun, Selection, StageRun, StartFacts
 from mgsr.report.decisions import tell_decisions, with_decisions
-from tests.report.samples import sample_report
+from tests.optional import present
+from tests.report.samples import bare_report, sample_report
 
 
 def test_every_stage_says_why_it_ended() -> None:
@@ -21,16 +22,15 @@ def test_every_stage_says_why_it_ended() -> None:
 
 def test_the_light_is_told() -> None:
     sample = sample_report()
-    told = tell_decisions(replace(sample, other={**sample.other, "light": "flash"}))
+    told = tell_decisions(replace(sample, light="flash"))
     assert [each.choice for each in told if each.what == "Light model of the mesh"] == ["a flash on the camera"]
-    without = {"light": "unknown", "settings": {"mesh": {"max_light_residual": None}}}
-    told = tell_decisions(replace(sample, other={**sample.other, **without}))
+    told = tell_decisions(replace(sample, light="unknown", settings={"mesh": {"max_light_residual": None}}))
     assert [each.choice for each in told if each.what == "Light model of the mesh"] == ["not looked at"]
 
 
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_start_that_was_kept_is_told(kept: bool) -> None:
-    told = tell_decisions(replace(sample_report(), other={"light": "environment", "start_kept": kept}))
+    told = tell_decisions(replace(bare_report(), light="environment", start_kept=kept))
     assert [each.choice for each in told if each.what == "Surface that was refined"] == (
         ["the one that training began on"] if kept else []
     )
@@ -38,8 +38,8 @@ def test_a_start_that_was_kept_is_told(kept: bool) -> None:
 
 def test_a_flash_is_told_with_its_place() -> None:
     sample = sample_report()
-    other = {**sample.other, "input": {**sample.other["input"], "flash": {"right": -0.1041, "down": -0.23}}}
-    told = {each.what: each for each in tell_decisions(replace(sample, other=other))}
+    given = replace(present(sample.input), flash=FlashFacts(-0.1041, -0.23))
+    told = {each.what: each for each in tell_decisions(replace(sample, input=given))}
     flash = told["Flash on the camera"]
     assert flash.choice == "a lamp 0.1 to the left of the lens and 0.23 above it" and "even light" in flash.why
     assert "Flash on the camera" not in {each.what for each in tell_decisions(sample)}
@@ -55,8 +55,10 @@ def test_a_flash_is_told_with_its_place() -> None:
     ],
 )
 def test_photometric_refinement_has_its_reason(light: str, masked: bool, moved: bool, choice: str, why: str) -> None:
-    other = {"light": light, "input": {"masked": masked}, "mesh_steps": {"photometric_refinement": {}} if moved else {}}
-    told = {each.what: each for each in tell_decisions(replace(sample_report(), other=other))}
+    steps = {"photometric_refinement": MeshStepRun(1.0, 900, {})} if moved else {}
+    given = replace(present(sample_report().input), masked=masked)
+    run = replace(bare_report(), light=light, input=given, mesh_steps=steps)
+    told = {each.what: each for each in tell_decisions(run)}
     decision = told["Photometric refinement of the surface"]
     assert decision.choice == choice and why in decision.why
 
@@ -64,8 +66,7 @@ def test_photometric_refinement_has_its_reason(light: str, masked: bool, moved: 
 def test_the_reflected_light_is_told_with_its_reason() -> None:
     def told(chosen: str, asked: str, tried: dict[str, float]) -> Decision:
         settings = {"train": {"gaussians": {"reflection": asked}}}
-        other = {"reflection": {"chosen": chosen, "tried": tried}, "settings": settings}
-        run = replace(sample_report(), method="mgsr", other=other)
+        run = replace(bare_report(), method="mgsr", reflection=Selection(chosen, tried), settings=settings)
         return next(each for each in tell_decisions(run) if each.what == "Reflected light")
 
     tried = told("shared", "auto", {"off": 30.0, "shared": 30.614, "both": 30.5})
@@ -77,9 +78,8 @@ def test_the_reflected_light_is_told_with_its_reason() -> None:
 
 def test_the_colours_harmonics_are_told_where_fewer_were_tried() -> None:
     def told(tried: dict[str, float]) -> list[Decision]:
-        reflection = {"chosen": "shared", "tried": {"off": 33.13, "shared": 33.78}}
-        other = {"reflection": reflection, "sh_degree": {"chosen": 1, "tried": tried}}
-        run = replace(sample_report(), method="mgsr", other=other)
+        reflection = Selection("shared", {"off": 33.13, "shared": 33.78})
+        run = replace(bare_report(), method="mgsr", reflection=reflection, sh_degree=Selection(1, tried))
         return [each for each in tell_decisions(run) if each.what.startswith("Harmonics")]
 
     (lowered,) = told({"1": 34.44, "0": 33.738})
@@ -90,16 +90,16 @@ def test_the_colours_harmonics_are_told_where_fewer_were_tried() -> None:
 
 def test_pixels_that_no_photograph_shows_are_told() -> None:
     sample = sample_report()
-    given = {**sample.other["input"], "shown": 0.8174}
-    told = {each.what: each for each in tell_decisions(replace(sample, other={**sample.other, "input": given}))}
+    given = replace(present(sample.input), shown=0.8174)
+    told = {each.what: each for each in tell_decisions(replace(sample, input=given))}
     assert told["Pixels"].choice == "photographs show 82% of them"
     assert "Pixels" not in {each.what for each in tell_decisions(sample)}
 
 
 def test_dropped_gaussians_are_counted() -> None:
-    data = sample_report()
+    settings = {"train": {"gaussians": {"densify": {"prune_contribution": 0.06}}}}
+    data = replace(sample_report(), settings=settings)
     data.iterations["warmup_gaussians"] = StageRun(2000, "converged", dropped=8123)
-    data.other["settings"]["train"] = {"gaussians": {"densify": {"prune_contribution": 0.06}}}
     told = next(each for each in tell_decisions(data) if each.what == "Gaussians that give the renders")
     assert told.choice == "21,877" and "8,123 went" in told.why and "6%" in told.why
 
@@ -111,25 +111,25 @@ def test_a_runs_own_decisions_stay() -> None:
 
 
 def test_few_facts_are_enough() -> None:
-    data = replace(sample_report(), iterations={}, mesh=None, other={})
+    data = replace(bare_report(), iterations={}, mesh=None)
     assert [each.what for each in tell_decisions(data)] == ["Method"]
 
 
 def test_a_time_budget_is_told() -> None:
-    budget = {
-        "seconds": 120.0,
-        "used": 117.2,
-        "place": 0.4,
-        "settings": "between draft and standard (0.40)",
-        "image_scale": 0.5,
-        "too_small": False,
-        "planned": {"before": 20.0, "train": 60.0, "mesh": 12.0, "evaluate": 5.0, "report": 2.0},
-        "spent": {"load": 1.0, "train": 64.0, "mesh": 10.0, "evaluate": 6.0},
-    }
-    told = tell_decisions(replace(sample_report(), other={"time_budget": budget}))[1]
+    budget = BudgetFacts(
+        seconds=120.0,
+        used=117.2,
+        place=0.4,
+        settings="between draft and standard (0.40)",
+        image_scale=0.5,
+        too_small=False,
+        planned={"before": 20.0, "train": 60.0, "mesh": 12.0, "evaluate": 5.0, "report": 2.0},
+        spent={"load": 1.0, "train": 64.0, "mesh": 10.0, "evaluate": 6.0},
+    )
+    told = tell_decisions(replace(sample_report(), time_budget=budget))[1]
     assert told.what == "Time budget of 120 s" and told.choice.endswith("photographs at 0.5 of their size")
     assert "planned train 60 s" in told.why and "came to train 64 s" in told.why and "117 s in all" in told.why
-    short = replace(sample_report(), other={"time_budget": budget | {"too_small": True}})
+    short = replace(sample_report(), time_budget=replace(budget, too_small=True))
     assert "less than the least plan needs" in tell_decisions(short)[1].why
 
 
@@ -137,11 +137,10 @@ def test_a_plain_backdrop_is_told_unless_the_settings_say_what_lies_behind() -> 
     sample = sample_report()
 
     def told(background: str, source: str = "hull") -> dict[str, Decision]:
-        points = {"source": source, "count": 9000}
-        given = {"masked": False, "backdrop": [0.0, 0.502, 1.0], "starting_points": points}
-        given = {**sample.other["input"], **given}
-        other = {**sample.other, "input": given, "settings": {"train": {"background": background}}}
-        return {each.what: each for each in tell_decisions(replace(sample, other=other))}
+        points = StartFacts(source, 9000)
+        given = replace(present(sample.input), masked=False, backdrop=[0.0, 0.502, 1.0], starting_points=points)
+        run = replace(sample, input=given, settings={"train": {"background": background}})
+        return {each.what: each for each in tell_decisions(run)}
 
     assert told("auto")["Backdrop"].choice == "plain, #0080ff" and "learned" in told("auto")["Outlines"].choice
     assert not {"Backdrop", "Outlines"} & set(told("white"))

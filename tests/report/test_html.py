@@ -11,7 +11,7 @@ import numpy as np
 
 from mgsr.report.html import report_page, write_report_html
 from mgsr.report.pictures import Picture, ReportPictures, SurfacePictures, TestViewPictures
-from tests.report.samples import sample_pictures, sample_report
+from tests.report.samples import bare_report, sample_pictures, sample_report
 
 VOID = {"meta", "link", "img", "input", "br"}
 STRANGE = "a<b>&\"quote'</title><script>alert(1)</script>é"
@@ -103,7 +103,7 @@ def test_strange_names_are_shown_as_they_are() -> None:
 
 
 def test_a_run_without_split_truth_views_or_mesh_still_has_a_page(tmp_path: Path) -> None:
-    data = replace(sample_report(), gt=None, mesh=None, curve=[], psnr_test=None, ssim_test=None, other={})
+    data = replace(bare_report(), gt=None, mesh=None, curve=[], psnr_test=None, ssim_test=None)
     write_report_html(tmp_path / "report.html", data, ReportPictures())
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     read(page)

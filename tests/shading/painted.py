@@ -7,7 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import trimesh
 
+from mgsr.data.camera import Camera
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
+from mgsr.data.photograph import Photograph
 from mgsr.data.scene import View
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.mesh.pixels import back_project
@@ -45,3 +47,9 @@ def flash_photographs(mesh: trimesh.Trimesh, paint: Paint) -> list[View]:
         image = (255 * np.clip(linear_to_srgb(light) * seen.alpha[..., None], 0, 1)).round().astype(np.uint8)
         views.append(View(str(index), seen.camera, image, (255 * seen.alpha).astype(np.uint8)))
     return views
+
+
+def as_photograph(camera: Camera, brightness: np.ndarray) -> Photograph:
+    """Return a photograph of this brightness [H,W], in linear light, that is not rounded to bytes."""
+    grey = 255 * linear_to_srgb(brightness)
+    return Photograph(View("v", camera, np.repeat(grey[..., None], 3, axis=-1)))

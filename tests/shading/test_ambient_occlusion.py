@@ -7,9 +7,10 @@ import pytest
 import trimesh
 
 from mgsr.data.camera import Camera
+from mgsr.data.photograph import Photograph
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.ambient_occlusion import estimate_occlusion
-from mgsr.shading.observations import LinearPhotograph
+from tests.shading.painted import as_photograph
 
 SIDE = 96
 
@@ -22,13 +23,12 @@ def bowl(height: float) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(ball.vertices)[used], faces.reshape(-1, 3)
 
 
-def from_above(brightness: float) -> LinearPhotograph:
+def from_above(brightness: float) -> Photograph:
     """Return a photograph in which all that a camera above a bowl sees is equally bright."""
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = [0, 0, 6]
     K = np.array([[150.0, 0, SIDE / 2], [0, 150.0, SIDE / 2], [0, 0, 1]])
-    even = np.full((SIDE, SIDE), brightness, np.float32)
-    return LinearPhotograph(Camera(K, pose, SIDE, SIDE), even, np.ones_like(even))
+    return as_photograph(Camera(K, pose, SIDE, SIDE), np.full((SIDE, SIDE), brightness))
 
 
 @pytest.mark.parametrize("height", [0.0, -0.5])

@@ -10,9 +10,10 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.shading.ambient_occlusion import AmbientOcclusion
 from mgsr.shading.flash import Flash, normals_from_flash
 from mgsr.shading.flash_fit import fit_flash
-from mgsr.shading.observations import LinearPhotograph, Observations, observe_photographs
+from mgsr.shading.observations import Observations, observe_photographs
 from mgsr.shading.target_normals import TargetNormals
 from tests.mesh.shapes import as_mesh, cameras_around, joined, looking_at_origin
+from tests.shading.painted import as_photograph
 
 BALL = trimesh.creation.icosphere(subdivisions=4, radius=0.7)
 POINTS = np.asarray(BALL.vertices)
@@ -120,17 +121,9 @@ def test_a_vertex_in_the_shadow_of_the_lamp_is_not_read() -> None:
     screen = trimesh.creation.box((0.01, 1.0, 0.3))
     screen.apply_translation((0.0, 0.0, 0.155))
     both = joined(plate, screen)
-    even = np.ones((96, 96), np.float32)
+    even = as_photograph(camera, np.full((96, 96), 0.5))
     lamp = np.array([[2.0, 0.0, 2.0]])  # from the right, at 45 degrees
-    read = [
-        observe_photographs(
-            as_mesh(both),
-            [LinearPhotograph(camera, even, even)],
-            0.005,
-            lamps=lamps,
-        )
-        for lamps in (None, lamp)
-    ]
+    read = [observe_photographs(as_mesh(both), [even], 0.005, lamps=lamps) for lamps in (None, lamp)]
     top = np.flatnonzero((both.vertices[:, 2] > 0.004) & (both.vertices[:, 2] < 0.006))
     x = both.vertices[top, 0]
     shaded = (x < -0.05) & (x > -0.2)

@@ -130,7 +130,7 @@ def test_a_dent_comes_out_under_a_flash() -> None:
     """
     truth, full = dented(), ball(RADIUS)
     views = flash_photographs(truth, painted)
-    observer = Observer(photos_of(truth, views).linear, PIXEL, None)
+    observer = Observer(photos_of(truth, views).photographs, PIXEL, None)
     flash = FlashLight(observer, as_mesh(full), observer.observe(as_mesh(full)))
     found, unlit = (
         refine_photometrically(as_mesh(full), photos_of(truth, views), 6.0, known) for known in (flash, None)
@@ -190,7 +190,7 @@ def test_highlights_move_nothing_where_the_surroundings_are_known() -> None:
     colored = photographs(full, plain, many_lamps, noise=2)
     views = [replace(view, image=np.repeat(view.image[..., :1], 3, axis=-1)) for view in colored]
     photos = photos_of(full, views)
-    mirroring = EnvironmentLight(Observer(photos.linear, PIXEL, None))
+    mirroring = EnvironmentLight(Observer(photos.photographs, PIXEL, None))
     drawn, remaining = (
         np.linalg.norm(found.vertices - full.vertices, axis=1).mean() / PIXEL
         for known in (None, mirroring)

@@ -57,7 +57,7 @@ def refined(views: list[View], config: MeshConfig) -> tuple[Mesh, LightEstimate,
 def test_photographs_differ_over_a_hole_alone(past_the_hole: list[View]) -> None:
     full = ball()
     mesh, photos = as_mesh(full), PhotoSet(past_the_hole)
-    observer = Observer(photos.linear, PIXEL, None)
+    observer = Observer(photos.photographs, PIXEL, None)
     flash = FlashLight(observer, mesh, observer.observe(mesh))
     differing, away = photometric_residual(mesh, photos, flash), angles(full.vertices)
     assert (differing[away < HOLE - 0.1] > 0.01).mean() > 0.95

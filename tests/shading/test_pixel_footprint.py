@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from mgsr.data.camera import Camera
+from mgsr.data.photograph import Photograph
 from mgsr.geometry.mesh import Mesh
-from mgsr.shading.observations import LinearPhotograph, Observations, observe_photographs
+from mgsr.shading.observations import Observations, observe_photographs
 from mgsr.shading.pixel_footprint import deconvolve
 from tests.mesh.shapes import looking_at_origin
+from tests.shading.painted import as_photograph
 
 STRIPES = 1.6  # radians a pixel
 STEPS = 90  # vertices along the plate's side
@@ -34,14 +36,13 @@ def stripes(column: np.ndarray) -> np.ndarray:
     return 0.5 + 0.3 * np.cos(STRIPES * column)
 
 
-def striped(camera: Camera) -> LinearPhotograph:
+def striped(camera: Camera) -> Photograph:
     """Return a photograph of the stripes' mean over each pixel: the integral of a cosine."""
     mean = 0.5 + 0.3 * np.sinc(STRIPES / 2 / np.pi) * np.cos(STRIPES * (np.arange(camera.width) + 0.5))
-    shape = camera.height, camera.width
-    return LinearPhotograph(camera, np.broadcast_to(mean, shape).astype(np.float32), np.ones(shape, bool))
+    return as_photograph(camera, np.broadcast_to(mean, (camera.height, camera.width)))
 
 
-def read(vertices: np.ndarray, faces: np.ndarray, photographs: list[LinearPhotograph]) -> Observations:
+def read(vertices: np.ndarray, faces: np.ndarray, photographs: list[Photograph]) -> Observations:
     return observe_photographs(Mesh(vertices, faces), photographs, gap=0.01)
 
 

@@ -16,7 +16,7 @@ from mgsr.geometry.raycast import pixel_rays
 from mgsr.shading.environment_fit import fit_environment_map, look_up
 from mgsr.shading.environment_normals import normals_from_environment
 from mgsr.shading.light_estimate import LightEstimate, LightKind, estimate_light
-from mgsr.shading.observations import linear_photographs, observe_photographs
+from mgsr.shading.observations import observe_photographs
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.shading.shape_from_shading import ShadingPass, shape_from_shading
 from tests.mesh.shapes import as_mesh, ball, cameras_around, silhouettes_of
@@ -193,7 +193,7 @@ def test_matte_paint_under_a_lamp_that_stands_still_changes_nothing() -> None:
 def test_the_map_is_the_environment_up_to_a_constant() -> None:
     mesh = ball(RADIUS)
     normals = as_mesh(mesh).double_normals
-    seen = linear_photographs(photographs(mesh, glossy))
+    seen = PhotoSet(photographs(mesh, glossy)).photographs
     observations = observe_photographs(as_mesh(mesh), seen, gap=0.01)
     found = fit_environment_map(observations, normals)
     directions = np.random.default_rng(0).normal(size=(2000, 3))
@@ -206,7 +206,7 @@ def test_the_map_is_the_environment_up_to_a_constant() -> None:
 def test_tilted_normals_are_turned_back() -> None:
     mesh = ball(RADIUS)
     true = as_mesh(mesh).double_normals
-    seen = linear_photographs(photographs(mesh, glossy))
+    seen = PhotoSet(photographs(mesh, glossy)).photographs
     observations = observe_photographs(as_mesh(mesh), seen, gap=0.01)
     wave = np.sin(8 * mesh.vertices[:, 2] / RADIUS)  # to and fro, so that the map itself stays where it is
     tilted = true + 0.15 * wave[:, None] * [1.0, 0.0, 0.0]
@@ -222,7 +222,7 @@ def test_tilted_normals_are_turned_back() -> None:
 def test_what_no_tilt_explains_is_not_trusted() -> None:
     mesh = ball(RADIUS)
     true = as_mesh(mesh).double_normals
-    observations = observe_photographs(as_mesh(mesh), linear_photographs(photographs(mesh, glossy)), gap=0.01)
+    observations = observe_photographs(as_mesh(mesh), PhotoSet(photographs(mesh, glossy)).photographs, gap=0.01)
     odd = mesh.vertices[:, 0] > 0
     noise = np.random.default_rng(0).normal(scale=0.2, size=observations.brightness.shape)
     spoilt = replace(observations, brightness=observations.brightness + odd[:, None] * noise.astype(np.float32))

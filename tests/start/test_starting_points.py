@@ -23,7 +23,8 @@ from mgsr.shading.environment_residual import EnvironmentResidual, environment_r
 from mgsr.shading.light_estimate import LightEstimate
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.start import masked_surface
-from mgsr.start.starting_points import StartSource, starting_points
+from mgsr.start.points import StartSource
+from mgsr.start.starting_points import starting_points
 from mgsr.stereo.patch_match import DepthMap
 from mgsr.stereo.photographs import StereoPhotographs
 from tests.data.captures import BallCapture

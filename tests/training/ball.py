@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from mgsr.data.camera import Camera
 from mgsr.data.scene import Scene, Similarity, View
+from mgsr.start.points import StartingPoints, StartSource
 
 RADIUS = 0.5
 DISTANCE = 2.5
-
-
-@dataclass(frozen=True)
-class Points:
-    """Starting points on a ball."""
-
-    positions: np.ndarray
-    normals: np.ndarray | None
-    colors: np.ndarray
-    shiny: bool | None = None
 
 
 def ball_scene(size: int = 48, train: int = 10, test: int = 2, masked: bool = True, gloss: float = 0.0) -> Scene:
@@ -38,10 +29,11 @@ def ball_scene(size: int = 48, train: int = 10, test: int = 2, masked: bool = Tr
     return Scene("ball", Path("ball"), "made", kept, held_out, None, Similarity())
 
 
-def ball_points(count: int = 300, radius: float = RADIUS * 1.05) -> Points:
+def ball_points(count: int = 300, radius: float = RADIUS * 1.05) -> StartingPoints:
     """Return points on a slightly larger ball, in paler colours than the ball's."""
     normals = _sphere(count)
-    return Points(normals * radius, normals, _bytes(0.25 + 0.5 * ball_color(normals * RADIUS)))
+    colors = _bytes(0.25 + 0.5 * ball_color(normals * RADIUS))
+    return StartingPoints(normals * radius, colors, StartSource.BALL, normals)
 
 
 def ball_color(points: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from mgsr.renderers.surfels import render_surfels
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import Training
 from tests.optional import present
-from tests.training.ball import RADIUS, Points, ball_points, ball_scene
+from tests.training.ball import RADIUS, ball_points, ball_scene
 from tests.training.short_training import assert_same, short, tensors
 
 PREVIEWS = {
@@ -171,7 +172,7 @@ def test_too_little_to_start_from() -> None:
         Training(ball_scene(32, train=1), ball_points(), short()).run()
     points = ball_points(3)
     with pytest.raises(TrainingError, match="at least 4"):
-        Training(ball_scene(32), Points(points.positions, None, points.colors), short()).run()
+        Training(ball_scene(32), replace(points, normals=None), short()).run()
 
 
 def test_checkpoints_also_come_by_the_clock(tmp_path: Path) -> None:
@@ -229,9 +230,7 @@ def test_without_light_to_mirror_the_mesh_changes_nothing(setting: str) -> None:
 
 def test_a_surface_that_was_found_matte_has_no_shared_light() -> None:
     points = ball_points()
-    result = Training(
-        ball_scene(32), Points(points.positions, points.normals, points.colors, shiny=False), short()
-    ).run()
+    result = Training(ball_scene(32), replace(points, shiny=False), short()).run()
     assert result.model.environment_map is None and result.model.reflection is Reflection.OFF
 
 

@@ -62,7 +62,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 @dataclass(frozen=True)
-class _Entry:
+class _BlockPhoto:
     """A photograph with its path, its element and the group that has its camera.
 
     It also says whether the others are aligned without it.
@@ -91,7 +91,7 @@ def _plain(root: Element) -> Element:
     return root
 
 
-def _block(exchange: Element, file: str) -> tuple[Element, list[_Entry]]:
+def _block(exchange: Element, file: str) -> tuple[Element, list[_BlockPhoto]]:
     base = _text(exchange, "BaseImagePath")
     blocks = [(block, _entries(block, base)) for block in exchange.iterfind("Block")]
     block, entries = max(blocks, key=lambda item: len(item[1]), default=(exchange, []))
@@ -100,11 +100,11 @@ def _block(exchange: Element, file: str) -> tuple[Element, list[_Entry]]:
     return block, entries
 
 
-def _entries(block: Element, base: str) -> list[_Entry]:
+def _entries(block: Element, base: str) -> list[_BlockPhoto]:
     pairs = [(photo, group) for group in block.iterfind("Photogroups/Photogroup") for photo in group.iterfind("Photo")]
     main = any(_text(photo, "Component") == "1" for photo, _ in pairs)
     return [
-        _Entry(_joined(base, _text(photo, "ImagePath")), photo, group, main and _text(photo, "Component") == "0")
+        _BlockPhoto(_joined(base, _text(photo, "ImagePath")), photo, group, main and _text(photo, "Component") == "0")
         for photo, group in pairs
     ]
 
@@ -118,7 +118,7 @@ def _text(element: Element | None, path: str) -> str:
     return "" if element is None else (element.findtext(path) or "").strip()
 
 
-def _photo(image: Path, entry: _Entry, exchange: Element, block: Element, source: str) -> Photo:
+def _photo(image: Path, entry: _BlockPhoto, exchange: Element, block: Element, source: str) -> Photo:
     if entry.left_behind:
         raise SceneError(f"{source}: it is not in the block's main component, so it was not aligned")
     pose = entry.photo.find("Pose")

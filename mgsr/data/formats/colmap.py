@@ -90,7 +90,7 @@ class ColmapCamera:
 
 
 @dataclass(frozen=True)
-class _Image:
+class _ColmapImage:
     name: str
     quat: tuple[float, ...]
     translation: tuple[float, ...]
@@ -98,12 +98,12 @@ class _Image:
 
 
 @dataclass(frozen=True)
-class _Model:
+class _ColmapModel:
     """A sparse model. marker: the model's images file. where: the model's folder, for messages."""
 
     marker: Path
     where: str
-    images: list[_Image]
+    images: list[_ColmapImage]
 
 
 def recognises(root: Path) -> str | None:
@@ -151,12 +151,12 @@ def _is_model(folder: Path) -> bool:
     return any((folder / ("cameras" + suffix)).is_file() for suffix in _CAMERAS)
 
 
-def _read_images(root: Path, marker: Path) -> _Model:
+def _read_images(root: Path, marker: Path) -> _ColmapModel:
     where = marker.parent.relative_to(root).as_posix() if marker.parent != root else root.name
-    return _Model(marker, where, _parsed(_IMAGES, marker, where))
+    return _ColmapModel(marker, where, _parsed(_IMAGES, marker, where))
 
 
-def _read_scene(model: _Model) -> tuple[dict[int, ColmapCamera], PointCloud | None]:
+def _read_scene(model: _ColmapModel) -> tuple[dict[int, ColmapCamera], PointCloud | None]:
     """Return the cameras and points of a model; the points are None where it has no such file."""
     cameras, points = model.marker.with_stem("cameras"), model.marker.with_stem("points3D")
     return (
@@ -177,12 +177,12 @@ def _parsed(parsers: Mapping[str, Callable[[Path], _Content]], path: Path, where
         raise SceneError(f"{where}/{path.name}: damaged COLMAP model: {in_short(error)}; export it again") from error
 
 
-def _other_models(models: Sequence[_Model], used: _Model) -> tuple[str, ...]:
+def _other_models(models: Sequence[_ColmapModel], used: _ColmapModel) -> tuple[str, ...]:
     others = ", ".join(f"{model.where} has {len(model.images)}" for model in models if model is not used)
     return (f"{used.where} is used, with {len(used.images)} photographs; {others}",) if others else ()
 
 
-def _left_out(found: FoundPhotos, model: _Model) -> tuple[str, ...]:
+def _left_out(found: FoundPhotos, model: _ColmapModel) -> tuple[str, ...]:
     """Return a note on the photographs that COLMAP did not register. Raises SceneError where it registered few."""
     folders = {path.parent for path in found.files}
     there = {path for folder in folders for path in folder.iterdir() if is_photo(path)}
@@ -192,7 +192,7 @@ def _left_out(found: FoundPhotos, model: _Model) -> tuple[str, ...]:
     return check_share(registered, total, _LEAST_REGISTERED, f"are registered in {model.where}", cure)
 
 
-def _photo(path: Path, image: _Image, cameras: dict[int, ColmapCamera], file: str) -> Photo:
+def _photo(path: Path, image: _ColmapImage, cameras: dict[int, ColmapCamera], file: str) -> Photo:
     source = f"{file}, image {image.name}"
     if image.camera not in cameras:
         raise SceneError(f"{source}: camera {image.camera} is not in the cameras file")
@@ -250,7 +250,7 @@ def _lens(model: str, terms: tuple[float, ...]) -> AnyLens | None:
     return None
 
 
-def _pose(image: _Image, source: str) -> np.ndarray:
+def _pose(image: _ColmapImage, source: str) -> np.ndarray:
     """Return cam_from_world [4,4] from COLMAP's quaternion (wxyz) and translation.
 
     Raises SceneError for a zero quaternion.
@@ -288,15 +288,15 @@ def _text_cameras(path: Path) -> dict[int, ColmapCamera]:
     }
 
 
-def _text_images(path: Path) -> list[_Image]:
-    images: list[_Image] = []
+def _text_images(path: Path) -> list[_ColmapImage]:
+    images: list[_ColmapImage] = []
     may_be_points = False
     for line in _text_lines(path):
         is_image = bool(line) and not (may_be_points and _is_points(line))
         if is_image:
             row = line.split(maxsplit=9)
             numbers = tuple(map(text_number, row[1:8]))
-            images.append(_Image(row[9], numbers[:4], numbers[4:], int(row[8])))
+            images.append(_ColmapImage(row[9], numbers[:4], numbers[4:], int(row[8])))
         may_be_points = is_image
     return images
 
@@ -319,7 +319,7 @@ def _text_points(path: Path) -> PointCloud:
 # Binary: little endian, a 64-bit count and then the records.
 
 
-class _Bytes:
+class _ByteReader:
     """A file's bytes, taken from the front."""
 
     def __init__(self, path: Path) -> None:
@@ -346,7 +346,7 @@ class _Bytes:
 
 
 def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
-    data, cameras = _Bytes(path), {}
+    data, cameras = _ByteReader(path), {}
     for _ in data.records():
         number, kind, width, height = data.take("IiQQ")
         model, count = _MODELS[kind]
@@ -354,17 +354,17 @@ def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
     return cameras
 
 
-def _binary_images(path: Path) -> list[_Image]:
-    data, images = _Bytes(path), []
+def _binary_images(path: Path) -> list[_ColmapImage]:
+    data, images = _ByteReader(path), []
     for _ in data.records():
         numbers = data.take("I7dI")
-        images.append(_Image(data.take_text(), numbers[1:5], numbers[5:8], numbers[8]))
+        images.append(_ColmapImage(data.take_text(), numbers[1:5], numbers[5:8], numbers[8]))
         data.skip(24 * data.take("Q")[0])
     return images
 
 
 def _binary_points(path: Path) -> PointCloud:
-    data, positions, colors = _Bytes(path), [], []
+    data, positions, colors = _ByteReader(path), [], []
     for _ in data.records():
         record = data.take("Q3d3BdQ")
         positions.append(record[1:4])

@@ -63,7 +63,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 @dataclass(frozen=True)
-class _Scene:
+class _MeshroomScene:
     """A scene's intrinsics, poses and rigs, by their numbers as text."""
 
     version: tuple[int, ...]
@@ -86,12 +86,12 @@ def _has(path: Path, part: re.Pattern[bytes]) -> bool:
         return False
 
 
-def _scene(content: Any, file: str) -> _Scene:
+def _scene(content: Any, file: str) -> _MeshroomScene:
     if not isinstance(content, dict):
         raise SceneError(f"{file}: expected an object with views, intrinsics and poses; export it again")
     landmarks = _rows(content, "structure", file)
     colors = [landmark.get("color", grey(1)[0]) for landmark in landmarks]
-    return _Scene(
+    return _MeshroomScene(
         _version(content.get("version"), file),
         _rows(content, "views", file),
         {str(row.get("intrinsicId")): row for row in _rows(content, "intrinsics", file)},
@@ -113,7 +113,7 @@ def _version(value: Any, file: str) -> tuple[int, ...]:
     return tuple(int(word) for word in words)
 
 
-def _photo(image: Path, view: dict[str, Any], scene: _Scene, source: str) -> Photo:
+def _photo(image: Path, view: dict[str, Any], scene: _MeshroomScene, source: str) -> Photo:
     camera = scene.intrinsics.get(str(view.get("intrinsicId")))
     if camera is None:
         raise SceneError(f"{source}: its intrinsics {str(view.get('intrinsicId'))[:80]!r} are not in the file")
@@ -122,7 +122,7 @@ def _photo(image: Path, view: dict[str, Any], scene: _Scene, source: str) -> Pho
     return Photo(image, K, size, pose, source, lens=None if lens is None or lens.flat else lens)
 
 
-def _pose(view: dict[str, Any], scene: _Scene, source: str) -> np.ndarray:
+def _pose(view: dict[str, Any], scene: _MeshroomScene, source: str) -> np.ndarray:
     """Return cam_from_world [4,4] of a view: its pose, or its place in a rig after the rig's pose.
 
     Raises SceneError where it has no pose.
@@ -138,7 +138,7 @@ def _pose(view: dict[str, Any], scene: _Scene, source: str) -> np.ndarray:
     return view_from_world
 
 
-def _place_in_rig(view: dict[str, Any], scene: _Scene, source: str) -> np.ndarray:
+def _place_in_rig(view: dict[str, Any], scene: _MeshroomScene, source: str) -> np.ndarray:
     """Return the pose [4,4] of a view's camera within its rig. Raises SceneError for an unknown place."""
     places = _rows(scene.rigs.get(str(view["rigId"]), {}), "subPoses", source)
     index = int(numbers([view.get("subPoseId")], 1, "subPoseId", source)[0])

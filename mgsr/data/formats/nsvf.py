@@ -26,7 +26,7 @@ _PHOTOGRAPHS = ("rgb", "images", "image")
 _PREFIX = re.compile(r"([012])_")
 
 
-class _Part(Enum):
+class _NsvfSplit(Enum):
     """The use of a view, with the number at the start of its name."""
 
     TRAIN = 0
@@ -35,12 +35,12 @@ class _Part(Enum):
 
 
 @dataclass(frozen=True)
-class _View:
+class _NsvfPhoto:
     """One photograph. place: the folder that holds pose/ and rgb/; pose: the file of its pose."""
 
     place: Path
     pose: Path
-    part: _Part | None
+    part: _NsvfSplit | None
 
     @property
     def intrinsics(self) -> Path:
@@ -50,27 +50,27 @@ class _View:
 
     @property
     def split(self) -> Split | None:
-        return None if self.part is None else Split.TEST if self.part is _Part.TEST else Split.TRAIN
+        return None if self.part is None else Split.TEST if self.part is _NsvfSplit.TEST else Split.TRAIN
 
     def photograph(self, root: Path) -> str:
         """Return the photograph's path below the root, without extension."""
         folder = next((self.place / name for name in _PHOTOGRAPHS if (self.place / name).is_dir()), self.place)
         return (folder / self.pose.stem).relative_to(root).as_posix()
 
-    def as_test(self) -> _View:
+    def as_test(self) -> _NsvfPhoto:
         """Return the same view for testing."""
-        return replace(self, part=_Part.TEST)
+        return replace(self, part=_NsvfSplit.TEST)
 
 
 def recognises(root: Path) -> str | None:
     """Return the file of intrinsics, if poses lie beside it, here or in train/."""
     places = [place for place in (root, root / "train") if _is_scene(place)]
-    return _View(places[0], _poses(places[0])[0], None).intrinsics.relative_to(root).as_posix() if places else None
+    return _NsvfPhoto(places[0], _poses(places[0])[0], None).intrinsics.relative_to(root).as_posix() if places else None
 
 
 def _is_scene(place: Path) -> bool:
     poses = _poses(place)
-    return bool(poses) and _View(place, poses[0], None).intrinsics.is_file()
+    return bool(poses) and _NsvfPhoto(place, poses[0], None).intrinsics.is_file()
 
 
 def _poses(place: Path) -> list[Path]:
@@ -86,33 +86,38 @@ def read(folder: SceneFolder) -> Capture:
     return replace(capture, notes=(*capture.notes, *notes))
 
 
-def _views(root: Path) -> list[_View]:
+def _views(root: Path) -> list[_NsvfPhoto]:
     """Return every view with its split: by the beginning of its name, or by the folder that it lies in."""
     if _is_scene(root):
-        return [_View(root, pose, _named_part(pose.stem)) for pose in _poses(root)]
-    parts = {"train": _Part.TRAIN, "validation": _Part.VALIDATION, "val": _Part.VALIDATION, "test": _Part.TEST}
+        return [_NsvfPhoto(root, pose, _named_part(pose.stem)) for pose in _poses(root)]
+    parts = {
+        "train": _NsvfSplit.TRAIN,
+        "validation": _NsvfSplit.VALIDATION,
+        "val": _NsvfSplit.VALIDATION,
+        "test": _NsvfSplit.TEST,
+    }
     folders = [(root / name, part) for name, part in parts.items() if _is_scene(root / name)]
-    return [_View(folder, pose, part) for folder, part in folders for pose in _poses(folder)]
+    return [_NsvfPhoto(folder, pose, part) for folder, part in folders for pose in _poses(folder)]
 
 
-def _named_part(name: str) -> _Part | None:
+def _named_part(name: str) -> _NsvfSplit | None:
     match = _PREFIX.match(name)
-    return _Part(int(match[1])) if match else None
+    return _NsvfSplit(int(match[1])) if match else None
 
 
-def _used(views: list[_View]) -> tuple[list[_View], tuple[str, ...]]:
+def _used(views: list[_NsvfPhoto]) -> tuple[list[_NsvfPhoto], tuple[str, ...]]:
     """Return the views that train or test, and a note on the others.
 
     Validation views are tests where there are no test views.
     """
-    if not any(view.part is _Part.TEST for view in views):
-        return [view.as_test() if view.part is _Part.VALIDATION else view for view in views], ()
-    used = [view for view in views if view.part is not _Part.VALIDATION]
+    if not any(view.part is _NsvfSplit.TEST for view in views):
+        return [view.as_test() if view.part is _NsvfSplit.VALIDATION else view for view in views], ()
+    used = [view for view in views if view.part is not _NsvfSplit.VALIDATION]
     left = len(views) - len(used)
     return used, (f"{left} validation views are not used, as there are test views",) if left else ()
 
 
-def _photo(root: Path, image: Path, view: _View) -> Photo:
+def _photo(root: Path, image: Path, view: _NsvfPhoto) -> Photo:
     source = view.pose.relative_to(root).as_posix()
     K, stated = read_intrinsics(view.intrinsics)
     return Photo(

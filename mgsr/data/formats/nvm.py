@@ -38,7 +38,7 @@ def read(folder: SceneFolder) -> Capture:
     file = recognises(folder.root)
     assert file is not None, "read() is for folders that were recognised"
     content = _content(folder.root / file)
-    model = max(content.models, key=lambda candidate: len(candidate.cameras), default=_Model([], None))
+    model = max(content.models, key=lambda candidate: len(candidate.cameras), default=_NvmModel([], None))
     if not model.cameras:
         raise SceneError(f"{file}: no photographs in it; reconstruct in VisualSFM and save it again")
     found = folder.find_photos(file, [camera.name for camera in model.cameras])
@@ -49,7 +49,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 @dataclass(frozen=True)
-class _Camera:
+class _NvmCamera:
     """A photograph's name, and its numbers as words."""
 
     name: str
@@ -57,8 +57,8 @@ class _Camera:
 
 
 @dataclass(frozen=True)
-class _Model:
-    cameras: list[_Camera]
+class _NvmModel:
+    cameras: list[_NvmCamera]
     points: PointCloud | None
 
 
@@ -68,7 +68,7 @@ class _Content:
 
     version: str
     calibration: list[str] | None
-    models: list[_Model]
+    models: list[_NvmModel]
 
 
 def _version(path: Path) -> str | None:
@@ -108,16 +108,16 @@ def _next(lines: Iterator[str]) -> str:
     return line
 
 
-def _models(line: str, lines: Iterator[str], version: str) -> Iterator[_Model]:
+def _models(line: str, lines: Iterator[str], version: str) -> Iterator[_NvmModel]:
     """Yield the models; a count of zero photographs, or the file's end, ends them."""
     while (count := int(line.split()[0])) > 0:
         cameras = [_camera(_next(lines), version) for _ in range(count)]
         points = int(next(lines, "0").split()[0])
-        yield _Model(cameras, _points([_next(lines) for _ in range(points)]))
+        yield _NvmModel(cameras, _points([_next(lines) for _ in range(points)]))
         line = next(lines, "0")
 
 
-def _camera(line: str, version: str) -> _Camera:
+def _camera(line: str, version: str) -> _NvmCamera:
     """Parse a photograph's line. Raises ValueError where numbers are missing.
 
     VisualSFM writes quotes for blanks in the name; some programs leave the last zero out.
@@ -128,7 +128,7 @@ def _camera(line: str, version: str) -> _Camera:
         parts = [*line.rsplit(maxsplit=words - 1), "0"]
     if len(parts) <= words:
         raise ValueError(f"expected a photograph's name and {words} numbers, got {line[:80]!r}")
-    return _Camera(parts[0].strip('"').replace('"', " "), parts[1:])
+    return _NvmCamera(parts[0].strip('"').replace('"', " "), parts[1:])
 
 
 def _points(lines: list[str]) -> PointCloud | None:
@@ -136,7 +136,7 @@ def _points(lines: list[str]) -> PointCloud | None:
     return point_cloud([row[:3] for row in rows], [row[3:6] for row in rows])
 
 
-def _other_models(models: list[_Model], used: _Model, file: str) -> tuple[str, ...]:
+def _other_models(models: list[_NvmModel], used: _NvmModel, file: str) -> tuple[str, ...]:
     others = [str(len(model.cameras)) for model in models if model is not used]
     if not others:
         return ()
@@ -145,7 +145,7 @@ def _other_models(models: list[_Model], used: _Model, file: str) -> tuple[str, .
     )
 
 
-def _photo(image: Path, camera: _Camera, content: _Content, source: str) -> Photo:
+def _photo(image: Path, camera: _NvmCamera, content: _Content, source: str) -> Photo:
     values = numbers(camera.words, _WORDS[content.version], "the camera", source)
     size = image_size(image, source)
     fx, cx, fy, cy = values[0], size[0] / 2, values[0], size[1] / 2

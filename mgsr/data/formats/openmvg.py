@@ -54,7 +54,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 @dataclass(frozen=True)
-class _Scene:
+class _OpenMvgScene:
     """A scene's intrinsics and poses, by their numbers."""
 
     root_path: str
@@ -75,7 +75,7 @@ def _has_poses(path: Path) -> bool:
         return False
 
 
-def _scene(content: Any, file: str) -> _Scene:
+def _scene(content: Any, file: str) -> _OpenMvgScene:
     if not isinstance(content, dict):
         raise SceneError(f"{file}: expected an object with views, intrinsics and extrinsics; export it again")
     pointers, models = _Pointers(), _Pointers()
@@ -85,7 +85,7 @@ def _scene(content: Any, file: str) -> _Scene:
         model = models.resolve({"id": value.get("polymorphic_id"), **value}, "polymorphic_name")
         cameras[_id(key)] = {**_flat(pointers.resolve(value.get("ptr_wrapper"), "data")), "model": model}
     places = [value.get("X") for _, value in _entries(content, "structure", file)]
-    return _Scene(
+    return _OpenMvgScene(
         str(content.get("root_path") or ""),
         [_flat(view) for view in views],
         cameras,
@@ -146,7 +146,7 @@ def _path(root_path: str, view: dict[str, Any]) -> Any:
     return f"{root_path}/{name}"
 
 
-def _photo(image: Path, view: dict[str, Any], scene: _Scene, source: str) -> Photo:
+def _photo(image: Path, view: dict[str, Any], scene: _OpenMvgScene, source: str) -> Photo:
     pose = scene.poses.get(_id(view.get("id_pose")))
     camera = scene.intrinsics.get(_id(view.get("id_intrinsic")))
     if pose is None or camera is None:

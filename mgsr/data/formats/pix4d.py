@@ -39,7 +39,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 @dataclass(frozen=True)
-class _Camera:
+class _Pix4dCamera:
     """A photograph's name, and the lines of its camera: size, K (3), radial, tangential, position, rotation (3)."""
 
     name: str
@@ -55,7 +55,7 @@ def _is_list(path: Path) -> bool:
     return " ".join(head.lower().split()).startswith(_HEAD)
 
 
-def _cameras(path: Path) -> list[_Camera]:
+def _cameras(path: Path) -> list[_Pix4dCamera]:
     require_content(path)
     try:
         lines = [line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
@@ -71,16 +71,16 @@ def _cameras(path: Path) -> list[_Camera]:
     return [_camera(rows[i : i + _LINES], path.name) for i in range(0, len(rows), _LINES)]
 
 
-def _camera(lines: list[str], file: str) -> _Camera:
+def _camera(lines: list[str], file: str) -> _Pix4dCamera:
     parts = lines[0].rsplit(maxsplit=2)
     if len(parts) < 3:
         raise SceneError(
             f"{file}: expected a photograph's name, width and height, got {lines[0][:80]!r}; copy it again"
         )
-    return _Camera(parts[0], [" ".join(parts[1:]), *lines[1:]])
+    return _Pix4dCamera(parts[0], [" ".join(parts[1:]), *lines[1:]])
 
 
-def _photo(image: Path, camera: _Camera, source: str) -> Photo:
+def _photo(image: Path, camera: _Pix4dCamera, source: str) -> Photo:
     lines = camera.lines
     width, height = numbers(lines[0], 2, "width and height", source)
     K = numbers(" ".join(lines[1:4]), 9, "camera matrix", source).reshape(3, 3)

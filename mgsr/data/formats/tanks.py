@@ -52,7 +52,7 @@ def recognises(root: Path) -> str | None:
 
 
 @dataclass(frozen=True)
-class _Entry:
+class _LogEntry:
     """An entry of the log. number: its photograph's, which orders the photographs. pose: its 16 numbers."""
 
     number: int
@@ -85,7 +85,7 @@ def read(folder: SceneFolder) -> Capture:
     return replace(capture, notes=(*capture.notes, *notes))
 
 
-def _entries(path: Path) -> list[_Entry]:
+def _entries(path: Path) -> list[_LogEntry]:
     """Read the entries of a log, each of five lines. Raises SceneError for others."""
     rows = read_rows(path, LARGEST_CAPTURE)
     blocks = [rows[i : i + 5] for i in range(0, len(rows), 5)]
@@ -97,7 +97,7 @@ def _entries(path: Path) -> list[_Entry]:
     if sorted(firsts) != [*range(len(blocks))] and not _are_a_choice(firsts):
         firsts = [*range(len(blocks))]
     return [
-        _Entry(int(number), [*itertools.chain(*block[1:])], has_pose=block[0][1] != -1)
+        _LogEntry(int(number), [*itertools.chain(*block[1:])], has_pose=block[0][1] != -1)
         for number, block in zip(firsts, blocks, strict=True)
     ]
 
@@ -162,7 +162,7 @@ def _from_json(content: Any, source: str) -> _Calibration:
     return _Calibration(K, (round(number(values, "width", source)), round(number(values, "height", source))))
 
 
-def _photo(image: Path, entry: _Entry, calibration: _Calibration, name: str) -> Photo:
+def _photo(image: Path, entry: _LogEntry, calibration: _Calibration, name: str) -> Photo:
     source = f"{name}, photograph {entry.number}"
     size = calibration.size or calibrated_size(calibration.K, image_size(image, source))
     pose = from_world_from_cam(pose_from(entry.pose, "pose", source), source)

@@ -1,0 +1,43 @@
+"""The points on which training begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from mgsr.geometry.mesh import Mesh
+from mgsr.shading.lighting import Lighting
+
+
+class StartSource(StrEnum):
+    """The source of the starting points.
+
+    capture: the capture's own points. hull: the visual hull of the masks, or the surface found inside it. stereo:
+    plane-sweep stereo. ball: a random ball.
+    """
+
+    CAPTURE = "capture"
+    HULL = "hull"
+    STEREO = "stereo"
+    BALL = "ball"
+
+
+@dataclass(frozen=True)
+class StartingPoints:
+    """The points on which training begins.
+
+    positions [P,3]: float64, in the scene's frame. colors [P,3]: uint8 sRGB. normals [P,3]: outward unit normals, None
+    if the surface is unknown. shiny: whether a flash or a mirrored environment map explains how brightness changes
+    between views; None if that was not examined. lighting: a flash's light on the surface, None without a flash.
+    surface: the mesh that the points lie on, None without masks.
+    """
+
+    positions: np.ndarray
+    colors: np.ndarray
+    source: StartSource
+    normals: np.ndarray | None = None
+    shiny: bool | None = None
+    lighting: Lighting | None = None
+    surface: Mesh | None = None

@@ -7,7 +7,7 @@ from time import perf_counter
 
 import numpy as np
 
-from mgsr.config import Extractor, MeshConfig
+from mgsr.config import ExpertConfig, Extractor, MeshConfig
 from mgsr.data.scene import View
 from mgsr.data.silhouettes import Silhouette
 from mgsr.errors import MeshError
@@ -38,6 +38,7 @@ def extract_mesh(
     start: Mesh | None = None,
     steps: Sequence[MeshStep] = STEPS,
     ground: np.ndarray | None = None,
+    expert: ExpertConfig = ExpertConfig(),
 ) -> ReconstructedMesh:
     """Extract the surface that the views show, in their frame, and finish it in steps (`mgsr.mesh.steps`).
 
@@ -46,7 +47,7 @@ def extract_mesh(
     None: all. go_on: returns whether there is time for another round of refinement. start: the surface on which
     training began. It replaces the trained surface if the photographs clearly prefer it. If the trained surface is
     torn, `start` fitted to the views replaces it. ground [4]: the plane on which the object stands, in the views'
-    frame, where the mesh ends; None if it is unknown.
+    frame, where the mesh ends; None if it is unknown. expert: the options of all algorithms.
 
     Raises MeshError, with the reason, if there is no surface.
     """
@@ -58,7 +59,7 @@ def extract_mesh(
     context = StepContext(views, photos, config, footprint, hull, TimeLeft(go_on), ground)
     extract = {Extractor.POISSON: _by_poisson, Extractor.TSDF: _by_tsdf}[config.extractor]
     trained = extract(context)
-    chosen = None if start is None else _better_start(start, trained, context)
+    chosen = None if start is None else _better_start(start, trained, context, expert)
     mesh, light, reports = take_steps(trained if chosen is None else chosen, context, steps)
     colors = vertex_colors(mesh, views, config.min_alpha, _tolerance(config), threads)
     return ReconstructedMesh(mesh.vertices, mesh.faces, colors, light.kind, chosen is not None, reports).with_normals(
@@ -80,7 +81,7 @@ def take_steps(
     return mesh, light, reports
 
 
-def _better_start(start: Mesh, trained: Mesh, context: StepContext) -> Mesh | None:
+def _better_start(start: Mesh, trained: Mesh, context: StepContext, expert: ExpertConfig) -> Mesh | None:
     """Return the surface on which training began if it is better; it is fitted to the views if the trained one is torn.
 
     Returns None if the trained surface stays.
@@ -90,7 +91,7 @@ def _better_start(start: Mesh, trained: Mesh, context: StepContext) -> Mesh | No
         return None
     if is_torn(trained, start):
         return fit_to_views(start, context.views, _rules(config), _tolerance(config), photos.threads)
-    return start if photographs_prefer_start(start, trained, photos) else None
+    return start if photographs_prefer_start(start, trained, photos, expert) else None
 
 
 def _tolerance(config: MeshConfig) -> float:

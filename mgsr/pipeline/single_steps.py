@@ -36,7 +36,7 @@ def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> R
     chosen = pick_device(device)
     scene = with_found_object(out, at_known_exposures(out, load_scene(path, config.data)))
     # The run compared its surface with the starting surface, which the same seed reproduces.
-    begun_on = starting_points(scene, 1, config.seed).surface if scene.masked else None
+    begun_on = starting_points(scene, 1, config.seed, expert=config.expert).surface if scene.masked else None
     mesh = make_mesh(read_models(out, scene.user_from_scene).to(chosen.torch), scene, config, start=begun_on)
     write_mesh(out, mesh, scene, config.output)
     return mesh

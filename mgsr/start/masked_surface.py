@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsr.config import ExpertConfig
+from mgsr.config.expert import StereoConfig
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.hull import Hull, hull_surface
 from mgsr.data.scene import View
@@ -77,13 +79,16 @@ def find_surface(
     hull: Hull,
     seed: int,
     progress: Callable[[float], None] = lambda done: None,
+    expert: ExpertConfig = ExpertConfig(),
 ) -> MaskedSurface:
     """Find the surface of the masked object inside its visual hull. The same seed gives the same surface.
 
-    progress: receives the share of the work that is done, 0..1. Raises SceneError if the hull is empty.
+    progress: receives the share of the work that is done, 0..1. expert: the options of all algorithms.
+
+    Raises SceneError if the hull is empty.
     """
     photos = PhotoSet(views, silhouettes)
-    mesh = _likelier_surface(photos, hull, seed, progress)
+    mesh = _likelier_surface(photos, hull, seed, progress, expert)
     progress(FUSED)
     mesh, estimate = _refined(mesh, photos, LightEstimate(), FAR_PASSES, _between(progress, FUSED, FAR_SHADED))
     if estimate.kind in NEAR_PASSES:
@@ -93,7 +98,9 @@ def find_surface(
     return MaskedSurface(mesh, estimate.kind, lighting)
 
 
-def _likelier_surface(photos: PhotoSet, hull: Hull, seed: int, progress: Callable[[float], None]) -> Mesh:
+def _likelier_surface(
+    photos: PhotoSet, hull: Hull, seed: int, progress: Callable[[float], None], expert: ExpertConfig
+) -> Mesh:
     """Return the hull's surface if the photographs speak clearly for it, else the surface that stereo finds.
 
     The hull wins if a mirrored environment map explains the photographs on it. Otherwise stereo's depths are fused, and
@@ -101,8 +108,9 @@ def _likelier_surface(photos: PhotoSet, hull: Hull, seed: int, progress: Callabl
     and stereo cannot distinguish the two.
     """
     outer = Mesh(*hull_surface(hull))
-    seen = _matched(stereo_photographs(photos.views), outer.caster, seed, progress)
-    inner = fuse_roughly(seen.cameras, seen.maps, seen.weights, hull, seen.pixel)
+    prepared, fusion = stereo_photographs(photos.views, expert.stereo.max_object_pixels), expert.stereo.fusion
+    seen = _matched(prepared, outer.caster, seed, progress, expert.stereo)
+    inner = fuse_roughly(seen.cameras, seen.maps, seen.weights, hull, seen.pixel, fusion)
     if not len(inner.faces):
         return outer
     on_outer, on_inner = environment_residuals((outer, inner), photos)
@@ -110,7 +118,7 @@ def _likelier_surface(photos: PhotoSet, hull: Hull, seed: int, progress: Callabl
         return outer
     believed = map_ahead(lambda camera: _believed(camera, on_outer, on_inner), seen.cameras, None)
     weights = [weight * share for weight, share in zip(seen.weights, believed, strict=True)]
-    fused = fuse(seen.cameras, seen.maps, weights, hull, seen.pixel)
+    fused = fuse(seen.cameras, seen.maps, weights, hull, seen.pixel, fusion)
     return fused if len(fused.faces) else outer
 
 
@@ -129,17 +137,21 @@ class _Matched:
 
 
 def _matched(
-    photographs: StereoPhotographs, start: RayCaster, seed: int, progress: Callable[[float], None]
+    photographs: StereoPhotographs,
+    start: RayCaster,
+    seed: int,
+    progress: Callable[[float], None],
+    options: StereoConfig,
 ) -> _Matched:
     """Match the photographs at full and at half size; the coarser maps fill the finer ones' gaps.
 
     start: the surface on which the search begins.
     """
     halves = photographs.reduced(HALF)
-    coarse = match_views(halves, start, seed, progress=_between(progress, 0, HALVES_MATCHED))
-    fine = match_views(photographs, start, seed, progress=_between(progress, HALVES_MATCHED, MATCHED))
-    weights = weigh(photographs, fine)
-    weights += weigh_gaps(weigh(halves, coarse), weights)
+    coarse = match_views(halves, start, seed, options.match, _between(progress, 0, HALVES_MATCHED))
+    fine = match_views(photographs, start, seed, options.match, _between(progress, HALVES_MATCHED, MATCHED))
+    weights = weigh(photographs, fine, options.consistency)
+    weights += weigh_gaps(weigh(halves, coarse, options.consistency), weights)
     pixel = pixel_size(photographs.cameras, np.zeros(3))
     return _Matched(photographs.cameras + halves.cameras, fine + coarse, weights, pixel)
 

@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mgsr.config import Background
+from mgsr.config import Background, ExpertConfig
 from mgsr.data.hull import carve, cut_at, hull_surface
 from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
@@ -80,11 +80,12 @@ def starting_points(
     seed: int,
     progress: Callable[[float], None] = lambda done: None,
     background: Background = Background.AUTO,
+    expert: ExpertConfig = ExpertConfig(),
 ) -> StartingPoints:
     """Choose the points to start from; the same seed gives the same points.
 
     progress: receives the share of the work that is done, 0..1. background: the setting for the search for a plain
-    backdrop.
+    backdrop. expert: the options of all algorithms.
 
     With masks, `count` points lie evenly on the surface that stereo, shading and photometric refinement find inside the
     visual hull. That surface is more accurate than the capture's own points (COLMAP).
@@ -95,7 +96,7 @@ def starting_points(
     """
     generator = np.random.default_rng(seed)
     if scene.masked:
-        return _surface_points(scene, silhouettes(scene.train, MASK_SIDE), count, seed, generator, progress)
+        return _surface_points(scene, silhouettes(scene.train, MASK_SIDE), count, seed, generator, progress, expert)
     own = _own_points(scene.points) if scene.points is not None else None
     return _unmasked_points(scene, own, count, seed, progress, background)
 
@@ -174,13 +175,14 @@ def _surface_points(
     seed: int,
     generator: np.random.Generator,
     progress: Callable[[float], None],
+    expert: ExpertConfig,
 ) -> StartingPoints:
     side = max(max(outline.distance.shape) for outline in outlines)
     resolution = RESOLUTION if side >= RESOLUTION else RESOLUTION // 2  # small images have no finer detail
     hull = carve(outlines, np.zeros(3), 1.05, resolution)
     if scene.ground is not None:
         hull = cut_at(hull, scene.ground)
-    found = find_surface(scene.train, outlines, hull, seed, progress)
+    found = find_surface(scene.train, outlines, hull, seed, progress, expert)
     positions, normals = _sample(found.mesh, count, generator)
     shiny = found.light is not LightKind.UNKNOWN
     return replace(

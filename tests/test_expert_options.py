@@ -14,6 +14,7 @@ from mgsr.bench.cells import Cell, read_variants
 from mgsr.config import EXPERT, Config, ExpertConfig, field_types, make_config
 from mgsr.config.expert import ConsistencyOptions
 from mgsr.config.options import Options, Range, ranges
+from mgsr.config.overrides import value_at
 from mgsr.data.scene import Scene, Similarity
 from mgsr.errors import ConfigError
 from mgsr.training.checkpoint import fingerprint
@@ -81,13 +82,14 @@ def test_values_that_belong_together_are_set_together() -> None:
 
 def test_bare_names_mean_what_users_set() -> None:
     """Check that a bare name is the user's setting where an option of an algorithm is called the same."""
-    users = [path.rpartition(".")[2] for path in field_types(Config()) if not path.startswith(EXPERT)]
-    options = {path.rpartition(".")[2] for path in field_types(Config()) if path.startswith(EXPERT)}
-    shared = [name for name in users if name in options and users.count(name) == 1]
+    names = {path: path.rpartition(".")[2] for path in field_types(Config())}
+    options = {name for path, name in names.items() if path.startswith(EXPERT)}
+    users = {path: name for path, name in names.items() if not path.startswith(EXPERT)}
+    shared = {name: path for path, name in users.items() if name in options and [*users.values()].count(name) == 1}
     assert "radius" in shared
-    for name in shared:
-        changed = make_config(overrides={name: 0.5 if name == "radius" else 7})
-        assert changed.expert == ExpertConfig() and changed != Config(), name
+    for name, path in shared.items():
+        assert make_config(overrides={name: value_at(Config(), path)}) == Config(), name
+    assert make_config(overrides=["radius=0.7"]).mesh.radius == 0.7
 
 
 def test_a_benchmark_sweeps_and_records_them() -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsr.config import SurfaceDepth, make_config, override_texts
+from mgsr.config.expert import IrradianceOptions
 from mgsr.data.scene import Scene, Similarity
 from mgsr.errors import ConfigError, MgsrError, in_short
 from mgsr.export.far_origin import origin_of_frame
@@ -154,13 +155,15 @@ def load_result(out: str | os.PathLike[str]) -> Reconstruction:
         start_kept = report.other["start_kept"]
         steps = {name: StepReport(**step) for name, step in report.other["mesh_steps"].items()}
         light = LightKind(report.other["light"])
+        shading = report.other["settings"]["expert"]["shading"]
+        irradiance = IrradianceOptions(**shading["light"]["flash"]["irradiance"])
     except (LookupError, TypeError, ValueError) as error:
         raise MgsrError(f"{folder}: its report is of another version ({in_short(error)}); run again") from error
     origin = origin_of_frame(normalisation)
     return Reconstruction(
         mesh=read_mesh(folder).with_report(light, start_kept, steps),
         model=read_models(folder, Similarity(offset=origin)),
-        flash=read_lighting(folder),
+        flash=read_lighting(folder, irradiance),
         report=report,
         paths=ResultPaths(folder),
         origin=origin,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from mgsr.config.expert import ObservationOptions
 from mgsr.data.camera import Camera
 from mgsr.data.images import srgb_to_linear
 from mgsr.data.scene import View, some_of
@@ -15,11 +16,6 @@ from mgsr.data.valid_mask import valid_inside
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
-
-MIN_COS = 0.25  # least cosine between normal and view direction
-SOLID = 0.97  # least alpha; pixels below it mix object and background
-CLIPPED = 0.98  # largest value of the brightest channel; pixels above it are clipped
-KEPT = 24  # most observations of a point, the most frontal ones
 
 
 @dataclass(frozen=True)
@@ -67,9 +63,11 @@ class LinearPhotograph:
     valid_mask: np.ndarray | None = None
 
 
-def linear_photographs(views: Sequence[View]) -> list[LinearPhotograph]:
+def linear_photographs(
+    views: Sequence[View], options: ObservationOptions = ObservationOptions()
+) -> list[LinearPhotograph]:
     """Return `some_of` the views as photographs in linear light."""
-    return [_linear(view) for view in some_of(views)]
+    return [_linear(view, options) for view in some_of(views)]
 
 
 def observe_photographs(
@@ -78,24 +76,25 @@ def observe_photographs(
     gap: float,
     threads: int | None = None,
     lamps: np.ndarray | None = None,
+    options: ObservationOptions = ObservationOptions(),
 ) -> Observations:
     """Sample the photographs' brightness at the vertices of a mesh.
 
     gap: the largest depth of a vertex behind the mesh, in the scene's unit. lamps [N,3]: the lamp's position for each
-    photograph, in the scene's frame; a vertex in its shadow counts as not visible. Each vertex keeps at most KEPT
-    observations, the most frontal ones.
+    photograph, in the scene's frame; a vertex in its shadow counts as not visible. Each vertex keeps at most
+    `options.count` observations, the most frontal ones.
     """
     count = len(mesh.vertices)
 
     def read(index: int) -> tuple[np.ndarray, ...]:
         lamp = None if lamps is None else lamps[index]
-        return *_read(mesh, photographs[index], lamp, gap), np.full(count, index)
+        return *_read(mesh, photographs[index], lamp, gap, options.min_cosine), np.full(count, index)
 
     parts = list(map_ahead(read, range(len(photographs)), threads))
     observations = Observations(*(np.stack(column, axis=1) for column in zip(*parts, strict=True)))
-    if len(photographs) <= KEPT:
+    if len(photographs) <= options.count:
         return observations
-    best = np.argpartition(observations.weights, -KEPT, axis=1)[:, -KEPT:]
+    best = np.argpartition(observations.weights, -options.count, axis=1)[:, -options.count :]
     rows = np.arange(count)[:, None]
     return Observations(*(array[rows, best] for array in _arrays(observations)))
 
@@ -131,12 +130,12 @@ def lie_within(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     return read_image(mask.astype(np.float32), pixels) > 0.99
 
 
-def _linear(view: View) -> LinearPhotograph:
+def _linear(view: View, options: ObservationOptions) -> LinearPhotograph:
     srgb = view.image.astype(np.float32) / 255
     linear = srgb_to_linear(srgb).mean(axis=-1)
-    usable = srgb.max(axis=-1) <= CLIPPED
+    usable = srgb.max(axis=-1) <= options.clipped
     if view.alpha is not None:
-        usable &= view.alpha >= SOLID * 255
+        usable &= view.alpha >= options.min_alpha * 255
     if view.valid_mask is None:
         return LinearPhotograph(view.camera, linear, usable)
     valid_mask = valid_inside(view.valid_mask, 1)  # so that interpolation never reads an invalid pixel
@@ -155,11 +154,12 @@ def _arrays(observations: Observations) -> tuple[np.ndarray, ...]:
 
 
 def _read(
-    mesh: Mesh, photograph: LinearPhotograph, lamp: np.ndarray | None, gap: float
+    mesh: Mesh, photograph: LinearPhotograph, lamp: np.ndarray | None, gap: float, min_cosine: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Sample one photograph at a mesh's V vertices: directions [V,3], distances, brightness and weights [V] each.
 
     lamp [3]: the lamp's position in the scene's frame, or None. gap: the largest depth of a vertex behind the mesh.
+    min_cosine: the least cosine between normal and view direction.
     """
     caster, points, normals = mesh.caster, mesh.vertices, mesh.double_normals
     camera = photograph.camera
@@ -167,7 +167,7 @@ def _read(
     distances = np.linalg.norm(offsets, axis=1)
     view_directions = offsets / distances[:, None]
     cosines = (view_directions * normals).sum(1)
-    index = seen_frontal(caster, camera, points, normals, cosines > MIN_COS, gap, photograph.valid_mask)
+    index = seen_frontal(caster, camera, points, normals, cosines > min_cosine, gap, photograph.valid_mask)
     if lamp is not None:
         index = index[caster.reached(lamp, points[index] + normals[index] * gap, gap)]
     pixels, _ = camera.project(points[index])

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from mgsr.config.expert import ObservationOptions
 from mgsr.data.camera import pixel_size
 from mgsr.data.scene import View
 from mgsr.data.silhouettes import Silhouette
@@ -21,17 +22,18 @@ class PhotoSet:
     """The photographs of a capture.
 
     views: the training views. silhouettes: of their masks, at any size; empty without masks. threads: the cores to use;
-    None: all.
+    None: all. options: of the observations.
     """
 
     views: Sequence[View]
     silhouettes: Sequence[Silhouette] = ()
     threads: int | None = None
+    options: ObservationOptions = ObservationOptions()
 
     @cached_property
     def linear(self) -> list[LinearPhotograph]:
         """Return `some_of` the photographs in linear light."""
-        return linear_photographs(self.views)
+        return linear_photographs(self.views, self.options)
 
     @cached_property
     def contours(self) -> list[SilhouetteContour]:
@@ -42,6 +44,10 @@ class PhotoSet:
         """Return the size of a pixel at a mesh's centroid, in the scene's unit."""
         return pixel_size([view.camera for view in self.views], mesh.vertices.mean(axis=0))
 
+    def observer(self, pixel: float) -> Observer:
+        """Return an observer of meshes on which a pixel has the size `pixel`, in the scene's unit."""
+        return Observer(self.linear, pixel, self.threads, self.options)
+
 
 @dataclass(frozen=True)
 class Observer:
@@ -50,7 +56,8 @@ class Observer:
     photographs: Sequence[LinearPhotograph]
     pixel: float
     threads: int | None
+    options: ObservationOptions = ObservationOptions()
 
     def observe(self, mesh: Mesh, lamps: np.ndarray | None = None) -> Observations:
         """Sample the photographs at a mesh's vertices. lamps [N,3]: as for `observe_photographs`."""
-        return observe_photographs(mesh, self.photographs, self.pixel, self.threads, lamps)
+        return observe_photographs(mesh, self.photographs, self.pixel, self.threads, lamps, self.options)

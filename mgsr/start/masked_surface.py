@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsr.config import ExpertConfig
-from mgsr.config.expert import StereoConfig
+from mgsr.config.expert import ShadingConfig, ShadingPass, StereoConfig
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.hull import Hull, hull_surface
 from mgsr.data.scene import View
@@ -23,11 +23,11 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
 from mgsr.shading.environment_residual import EnvironmentResidual, environment_residuals
-from mgsr.shading.light_estimate import MAX_ENVIRONMENT_RATIO, LightEstimate, LightKind, estimate_light
+from mgsr.shading.light_estimate import LightEstimate, LightKind, estimate_light
 from mgsr.shading.lighting import Lighting
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.shading.photometric_refinement import refine_photometrically
-from mgsr.shading.shape_from_shading import ShadingPass, shape_from_shading
+from mgsr.shading.shape_from_shading import shape_from_shading
 from mgsr.stereo.fusion import fuse, fuse_roughly
 from mgsr.stereo.patch_match import DepthMap, match_views, weigh, weigh_gaps
 from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
@@ -87,12 +87,13 @@ def find_surface(
 
     Raises SceneError if the hull is empty.
     """
-    photos = PhotoSet(views, silhouettes)
+    photos, shading = PhotoSet(views, silhouettes, options=expert.shading.observations), expert.shading
     mesh = _likelier_surface(photos, hull, seed, progress, expert)
     progress(FUSED)
-    mesh, estimate = _refined(mesh, photos, LightEstimate(), FAR_PASSES, _between(progress, FUSED, FAR_SHADED))
+    far, near = _between(progress, FUSED, FAR_SHADED), _between(progress, NEAR_BEGUN, NEAR_SHADED)
+    mesh, estimate = _refined(mesh, photos, LightEstimate(), FAR_PASSES, far, shading)
     if estimate.kind in NEAR_PASSES:
-        mesh, estimate = _refined(mesh, photos, estimate, NEAR_PASSES, _between(progress, NEAR_BEGUN, NEAR_SHADED))
+        mesh, estimate = _refined(mesh, photos, estimate, NEAR_PASSES, near, shading)
     progress(1.0)
     lighting = None if estimate.model is None else estimate.model.lighting(mesh)
     return MaskedSurface(mesh, estimate.kind, lighting)
@@ -113,8 +114,9 @@ def _likelier_surface(
     inner = fuse_roughly(seen.cameras, seen.maps, seen.weights, hull, seen.pixel, fusion)
     if not len(inner.faces):
         return outer
-    on_outer, on_inner = environment_residuals((outer, inner), photos)
-    if on_outer.ratio <= MAX_ENVIRONMENT_RATIO and on_outer.ratio <= CLEARLY * on_inner.ratio:
+    light = expert.shading.light
+    on_outer, on_inner = environment_residuals((outer, inner), photos, light.environment)
+    if on_outer.ratio <= light.max_environment_ratio and on_outer.ratio <= CLEARLY * on_inner.ratio:
         return outer
     believed = map_ahead(lambda camera: _believed(camera, on_outer, on_inner), seen.cameras, None)
     weights = [weight * share for weight, share in zip(seen.weights, believed, strict=True)]
@@ -174,11 +176,14 @@ def _refined(
     known: LightEstimate,
     passes: Mapping[LightKind, Sequence[ShadingPass]],
     progress: Callable[[float], None],
+    options: ShadingConfig,
 ) -> tuple[Mesh, LightEstimate]:
     """Estimate the light on the mesh, then refine the mesh by shape from shading and photometrically."""
-    estimate = estimate_light(mesh, photos, MAX_ENVIRONMENT_RATIO, known)
-    mesh = shape_from_shading(mesh, photos, estimate, passes, progress)
-    return refine_photometrically(mesh, photos, PHOTOMETRIC_REACH, estimate.model), estimate
+    light = options.light
+    estimate = estimate_light(mesh, photos, light.max_environment_ratio, known, light)
+    mesh = shape_from_shading(mesh, photos, estimate, passes, progress, options=options.shape)
+    moved = refine_photometrically(mesh, photos, PHOTOMETRIC_REACH, estimate.model, options=options.photometric)
+    return moved, estimate
 
 
 def _between(progress: Callable[[float], None], begin: float, end: float) -> Callable[[float], None]:

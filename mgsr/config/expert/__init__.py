@@ -5,6 +5,38 @@ documentation lists them apart from what users set, and `GET /options` leaves th
 """
 
 from mgsr.config.expert.expert import ExpertConfig
+from mgsr.config.expert.geometry import (
+    BilateralOptions,
+    ContourOptions,
+    ContourSearchOptions,
+    GeometryConfig,
+    LowFrequencyOptions,
+)
+from mgsr.config.expert.mesh import (
+    CutAtGroundOptions,
+    MeshOptions,
+    MeshStepOptions,
+    PullIntoHullOptions,
+    RemoveContradictedOptions,
+)
+from mgsr.config.expert.shading import (
+    DetailOptions,
+    EnvironmentFitOptions,
+    EnvironmentNormalOptions,
+    EnvironmentOptions,
+    EnvironmentResidualOptions,
+    FlashFitOptions,
+    FlashOptions,
+    IrradianceOptions,
+    LightOptions,
+    ObservationOptions,
+    OcclusionOptions,
+    PhotometricOptions,
+    ResidualOptions,
+    ShadingConfig,
+    ShadingOptions,
+    ShadingPass,
+)
 from mgsr.config.expert.stereo import (
     ConsistencyOptions,
     FusionOptions,
@@ -14,10 +46,36 @@ from mgsr.config.expert.stereo import (
 )
 
 __all__ = [
+    "BilateralOptions",
     "ConsistencyOptions",
+    "ContourOptions",
+    "ContourSearchOptions",
+    "CutAtGroundOptions",
+    "DetailOptions",
+    "EnvironmentFitOptions",
+    "EnvironmentNormalOptions",
+    "EnvironmentOptions",
+    "EnvironmentResidualOptions",
     "ExpertConfig",
+    "FlashFitOptions",
+    "FlashOptions",
     "FusionOptions",
+    "GeometryConfig",
+    "IrradianceOptions",
+    "LightOptions",
+    "LowFrequencyOptions",
     "MatchSettings",
+    "MeshOptions",
+    "MeshStepOptions",
+    "ObservationOptions",
+    "OcclusionOptions",
     "PatchMatchOptions",
+    "PhotometricOptions",
+    "PullIntoHullOptions",
+    "RemoveContradictedOptions",
+    "ResidualOptions",
+    "ShadingConfig",
+    "ShadingOptions",
+    "ShadingPass",
     "StereoConfig",
 ]

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from mgsr.config.expert.geometry import GeometryConfig
+from mgsr.config.expert.mesh import MeshOptions
+from mgsr.config.expert.shading import ShadingConfig
 from mgsr.config.expert.stereo import StereoConfig
 from mgsr.config.options import Options
 
@@ -12,4 +15,7 @@ from mgsr.config.options import Options
 class ExpertConfig(Options):
     """The options of all algorithms, by the package of the algorithm."""
 
+    geometry: GeometryConfig = field(default_factory=GeometryConfig)
+    shading: ShadingConfig = field(default_factory=ShadingConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
+    mesh: MeshOptions = field(default_factory=MeshOptions)

@@ -22,6 +22,7 @@ from benchmarks.scene_scores import find, replace_rows, scores_of
 from benchmarks.scene_sets import SCENES, SceneSet
 from mgsr.bench.machine import program_commit
 from mgsr.config import ExpertConfig, make_config
+from mgsr.config.expert import StartConfig
 from mgsr.data.hull import carve
 from mgsr.data.readers import load_scene
 from mgsr.data.silhouettes import silhouettes
@@ -31,7 +32,6 @@ from mgsr.pipeline.evaluation import find_truth
 from mgsr.shading.light_estimate import LightEstimate
 from mgsr.start import masked_surface
 from mgsr.start.masked_surface import find_surface
-from mgsr.start.starting_points import MASK_SIDE, RESOLUTION
 from mgsr.stereo.patch_match import DepthMap, match_views
 from mgsr.stereo.photographs import StereoPhotographs
 
@@ -60,7 +60,7 @@ PARTS: dict[str, Part] = {
     "stereo": Part({"fuse_roughly": _nothing}),
     "stereo at half the size": Part({"weigh_gaps": lambda coarse, fine: [0 * each for each in coarse]}),
     "total variation": Part(settings=("fusion.variation=1e-6",)),
-    "the hull where it is likelier": Part({"CLEARLY": 0.0, "DISBELIEVED": np.inf}),
+    "the hull where it is likelier": Part(settings=("mirror_share=0", "disbelieved=1e9")),
     "shading": Part({"estimate_light": lambda *given: LightEstimate(), "shape_from_shading": _unmoved}),
     "parallax": Part({"refine_photometrically": _unmoved}),
 }
@@ -86,8 +86,8 @@ def arguments() -> argparse.Namespace:
 def measured(path: Path) -> list[PartRow]:
     """Return a row for the start with all parts and for the start without each."""
     scene = load_scene(path, make_config("standard").data)
-    outlines, truth, rows = silhouettes(scene.train, MASK_SIDE), find_truth(scene), []
-    hull = carve(outlines, np.zeros(3), 1.05, RESOLUTION)
+    outlines, truth, rows = silhouettes(scene.train, StartConfig().mask_side), find_truth(scene), []
+    hull = carve(outlines, np.zeros(3), 1.05, StartConfig().resolution)
 
     maps: dict[int, list[DepthMap]] = {}
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsr.config import ExpertConfig
-from mgsr.config.expert import ShadingConfig, ShadingPass, StereoConfig
+from mgsr.config.expert import FirstSurfaceOptions, ShadingPass
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.hull import Hull, hull_surface
 from mgsr.data.scene import View
@@ -31,30 +31,6 @@ from mgsr.shading.shape_from_shading import shape_from_shading
 from mgsr.stereo.fusion import fuse, fuse_roughly
 from mgsr.stereo.patch_match import DepthMap, match_views, weigh, weigh_gaps
 from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
-
-# The surface is a mirror if the hull's residual under an environment map is at most this share of stereo's residual.
-CLEARLY = 0.9
-# The large shape of a hull is wrong too, so shading may change larger shape than on a trained surface. Deep concavities
-# need many rounds. An environment map hardly constrains a hull's steps, which fairing removes between the rounds. It
-# constrains the small shape better once photometric refinement has corrected the large shape.
-FAR_PASSES = {
-    LightKind.FLASH: (ShadingPass(edge=2.0, rounds=6, reach=160.0), ShadingPass(edge=1.5, rounds=3, reach=60.0)),
-    LightKind.ENVIRONMENT: (
-        *[ShadingPass(edge=4.0, rounds=2, reach=240.0, fairing=17.0)] * 3,
-        ShadingPass(edge=3.0, rounds=2, reach=240.0, fairing=17.0),
-        ShadingPass(edge=2.0, rounds=2, reach=120.0, fairing=17.0),
-    ),
-}
-NEAR_PASSES = {LightKind.ENVIRONMENT: (ShadingPass(edge=1.5, rounds=2, reach=60.0, fairing=17.0),)}
-
-# Octaves by which the residual of stereo's surface may exceed the hull's before its depths lose all weight.
-DISBELIEVED = 0.3
-
-# Scale of the photographs' sides for the coarser stereo.
-HALF = 0.5
-
-# Pixels over which a displacement of the photometric refinement spreads.
-PHOTOMETRIC_REACH = 12.0
 
 # Progress at the end of each part, measured as shares of the time on 48 views of 256 x 256 pixels.
 HALVES_MATCHED, MATCHED, FUSED, FAR_SHADED, NEAR_BEGUN, NEAR_SHADED = 0.1, 0.4, 0.6, 0.83, 0.87, 0.92
@@ -87,13 +63,14 @@ def find_surface(
 
     Raises SceneError if the hull is empty.
     """
-    photos, shading = PhotoSet(views, silhouettes, options=expert.shading.observations), expert.shading
+    photos = PhotoSet(views, silhouettes, options=expert.shading.observations)
+    passes, last = _far_passes(expert.start.surface), _near_passes(expert.start.surface)
     mesh = _likelier_surface(photos, hull, seed, progress, expert)
     progress(FUSED)
     far, near = _between(progress, FUSED, FAR_SHADED), _between(progress, NEAR_BEGUN, NEAR_SHADED)
-    mesh, estimate = _refined(mesh, photos, LightEstimate(), FAR_PASSES, far, shading)
-    if estimate.kind in NEAR_PASSES:
-        mesh, estimate = _refined(mesh, photos, estimate, NEAR_PASSES, near, shading)
+    mesh, estimate = _refined(mesh, photos, LightEstimate(), passes, far, expert)
+    if estimate.kind in last:
+        mesh, estimate = _refined(mesh, photos, estimate, last, near, expert)
     progress(1.0)
     lighting = None if estimate.model is None else estimate.model.lighting(mesh)
     return MaskedSurface(mesh, estimate.kind, lighting)
@@ -110,18 +87,32 @@ def _likelier_surface(
     """
     outer = Mesh(*hull_surface(hull))
     prepared, fusion = stereo_photographs(photos.views, expert.stereo.max_object_pixels), expert.stereo.fusion
-    seen = _matched(prepared, outer.caster, seed, progress, expert.stereo)
+    seen = _matched(prepared, outer.caster, seed, progress, expert)
     inner = fuse_roughly(seen.cameras, seen.maps, seen.weights, hull, seen.pixel, fusion)
     if not len(inner.faces):
         return outer
-    light = expert.shading.light
+    light, options = expert.shading.light, expert.start.surface
     on_outer, on_inner = environment_residuals((outer, inner), photos, light.environment)
-    if on_outer.ratio <= light.max_environment_ratio and on_outer.ratio <= CLEARLY * on_inner.ratio:
+    if on_outer.ratio <= light.max_environment_ratio and on_outer.ratio <= options.mirror_share * on_inner.ratio:
         return outer
-    believed = map_ahead(lambda camera: _believed(camera, on_outer, on_inner), seen.cameras, None)
+    believed = map_ahead(lambda camera: _believed(camera, on_outer, on_inner, options.disbelieved), seen.cameras, None)
     weights = [weight * share for weight, share in zip(seen.weights, believed, strict=True)]
     fused = fuse(seen.cameras, seen.maps, weights, hull, seen.pixel, fusion)
     return fused if len(fused.faces) else outer
+
+
+def _far_passes(options: FirstSurfaceOptions) -> Mapping[LightKind, Sequence[ShadingPass]]:
+    """Return the passes on the surface that stereo or the hull give."""
+    coarse = [options.environment_coarse] * options.environment_repeats
+    return {
+        LightKind.FLASH: (options.flash_coarse, options.flash_fine),
+        LightKind.ENVIRONMENT: (*coarse, options.environment_medium, options.environment_fine),
+    }
+
+
+def _near_passes(options: FirstSurfaceOptions) -> Mapping[LightKind, Sequence[ShadingPass]]:
+    """Return the passes on the surface that photometric refinement has corrected."""
+    return {LightKind.ENVIRONMENT: (options.environment_last,)}
 
 
 @dataclass(frozen=True)
@@ -143,13 +134,13 @@ def _matched(
     start: RayCaster,
     seed: int,
     progress: Callable[[float], None],
-    options: StereoConfig,
+    expert: ExpertConfig,
 ) -> _Matched:
     """Match the photographs at full and at half size; the coarser maps fill the finer ones' gaps.
 
     start: the surface on which the search begins.
     """
-    halves = photographs.reduced(HALF)
+    halves, options = photographs.reduced(expert.start.surface.coarse_scale), expert.stereo
     coarse = match_views(halves, start, seed, options.match, _between(progress, 0, HALVES_MATCHED))
     fine = match_views(photographs, start, seed, options.match, _between(progress, HALVES_MATCHED, MATCHED))
     weights = weigh(photographs, fine, options.consistency)
@@ -158,16 +149,16 @@ def _matched(
     return _Matched(photographs.cameras + halves.cameras, fine + coarse, weights, pixel)
 
 
-def _believed(camera: Camera, outer: EnvironmentResidual, inner: EnvironmentResidual) -> np.ndarray:
+def _believed(camera: Camera, outer: EnvironmentResidual, inner: EnvironmentResidual, disbelieved: float) -> np.ndarray:
     """Return the confidence [H,W] 0..1 in each pixel of stereo's surface.
 
     It falls as the residual of stereo's surface, `inner`, exceeds that of the hull, `outer`. It is 1 where either
-    residual is unknown.
+    residual is unknown. disbelieved: octaves of excess at which it is 0.
     """
     residual, before = inner.seen_by(camera), outer.seen_by(camera)
     known = (residual > 0) & (before > 0)
     octaves = np.log2(np.where(known, residual, 1) / np.where(known, before, 1)) / 2
-    return np.asarray(np.clip(1 - octaves / DISBELIEVED, 0, 1) ** 2, np.float32)
+    return np.asarray(np.clip(1 - octaves / disbelieved, 0, 1) ** 2, np.float32)
 
 
 def _refined(
@@ -176,13 +167,13 @@ def _refined(
     known: LightEstimate,
     passes: Mapping[LightKind, Sequence[ShadingPass]],
     progress: Callable[[float], None],
-    options: ShadingConfig,
+    expert: ExpertConfig,
 ) -> tuple[Mesh, LightEstimate]:
     """Estimate the light on the mesh, then refine the mesh by shape from shading and photometrically."""
-    light = options.light
+    options, light, reach = expert.shading, expert.shading.light, expert.start.surface.photometric_reach
     estimate = estimate_light(mesh, photos, light.max_environment_ratio, known, light)
     mesh = shape_from_shading(mesh, photos, estimate, passes, progress, options=options.shape)
-    moved = refine_photometrically(mesh, photos, PHOTOMETRIC_REACH, estimate.model, options=options.photometric)
+    moved = refine_photometrically(mesh, photos, reach, estimate.model, options=options.photometric)
     return moved, estimate
 
 

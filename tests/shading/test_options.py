@@ -93,7 +93,7 @@ def test_occlusion(photos: PhotoSet) -> None:
     whole, pixel = ball_and_wall().mesh, 0.01
     for rays in (4, 16):
         seen = estimate_occlusion(whole, photos.linear, pixel, options=OcclusionOptions(rays=rays)).sky_visibility
-        assert np.allclose(seen * rays, np.round(seen * rays), atol=1e-6) and 0 < np.mean(seen < 1) < 1
+        assert np.allclose(seen * rays, np.round(seen * rays), atol=1e-3) and 0 < np.mean(seen < 1) < 1
 
 
 def test_irradiance() -> None:
@@ -129,7 +129,7 @@ def test_the_photometric_residual(photos: PhotoSet, smooth: Mesh) -> None:
     def residual(options: ResidualOptions) -> np.ndarray:
         return photometric_residual(smooth, photos, light, options)
 
-    assert residual(ResidualOptions(forgiven=0.0)).sum() > residual(ResidualOptions()).sum()
+    assert residual(ResidualOptions(forgiven=0.0, surface_error=0.0)).sum() > residual(ResidualOptions()).sum()
     assert not residual(ResidualOptions(details=DetailOptions(min_observations=UNSEEN))).any()
 
 

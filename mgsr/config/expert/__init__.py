@@ -37,6 +37,15 @@ from mgsr.config.expert.shading import (
     ShadingOptions,
     ShadingPass,
 )
+from mgsr.config.expert.start import (
+    BackgroundPointOptions,
+    DepthFillingOptions,
+    FirstSurfaceOptions,
+    PlaneSweepOptions,
+    PointExposureOptions,
+    StartConfig,
+    ViewColorOptions,
+)
 from mgsr.config.expert.stereo import (
     ConsistencyOptions,
     FusionOptions,
@@ -46,17 +55,20 @@ from mgsr.config.expert.stereo import (
 )
 
 __all__ = [
+    "BackgroundPointOptions",
     "BilateralOptions",
     "ConsistencyOptions",
     "ContourOptions",
     "ContourSearchOptions",
     "CutAtGroundOptions",
+    "DepthFillingOptions",
     "DetailOptions",
     "EnvironmentFitOptions",
     "EnvironmentNormalOptions",
     "EnvironmentOptions",
     "EnvironmentResidualOptions",
     "ExpertConfig",
+    "FirstSurfaceOptions",
     "FlashFitOptions",
     "FlashOptions",
     "FusionOptions",
@@ -71,11 +83,15 @@ __all__ = [
     "OcclusionOptions",
     "PatchMatchOptions",
     "PhotometricOptions",
+    "PlaneSweepOptions",
+    "PointExposureOptions",
     "PullIntoHullOptions",
     "RemoveContradictedOptions",
     "ResidualOptions",
     "ShadingConfig",
     "ShadingOptions",
     "ShadingPass",
+    "StartConfig",
     "StereoConfig",
+    "ViewColorOptions",
 ]

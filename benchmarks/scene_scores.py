@@ -23,6 +23,7 @@ from benchmarks.scene_sets import SCENES, BenchmarkScene
 from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.machine import program_commit
 from mgsr.config import make_config
+from mgsr.config.expert import StartConfig
 from mgsr.data.hull import carve, hull_surface
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
@@ -32,7 +33,6 @@ from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline.evaluation import find_truth, surface_scores
 from mgsr.pipeline.run import run_scene
-from mgsr.start.starting_points import MASK_SIDE, RESOLUTION
 
 SceneRow = TypeVar("SceneRow", SetRow, PartRow)
 
@@ -95,7 +95,8 @@ def measured(scene: BenchmarkScene, path: Path, given: argparse.Namespace) -> Se
 def hull_scores(path: Path) -> dict[str, float]:
     """Return the scores of the visual hull of a scene's masks against its truth."""
     scene = load_scene(path, make_config("standard").data)
-    hull = carve(silhouettes(scene.train, MASK_SIDE), np.zeros(3), 1.05, RESOLUTION)
+    options = StartConfig()
+    hull = carve(silhouettes(scene.train, options.mask_side), np.zeros(3), 1.05, options.resolution)
     return scores_of(Mesh(*hull_surface(hull)), scene, find_truth(scene))
 
 

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -22,7 +21,8 @@ from benchmarks.evidence.surface_parts import ALL, PartRow
 from benchmarks.scene_scores import find, replace_rows, scores_of
 from benchmarks.scene_sets import SCENES, SceneSet
 from mgsr.bench.machine import program_commit
-from mgsr.config import make_config
+from mgsr.config import ExpertConfig, make_config
+from mgsr.config.expert import StartConfig
 from mgsr.data.hull import carve
 from mgsr.data.readers import load_scene
 from mgsr.data.silhouettes import silhouettes
@@ -32,16 +32,20 @@ from mgsr.pipeline.evaluation import find_truth
 from mgsr.shading.light_estimate import LightEstimate
 from mgsr.start import masked_surface
 from mgsr.start.masked_surface import find_surface
-from mgsr.start.starting_points import MASK_SIDE, RESOLUTION
-from mgsr.stereo import fusion
 from mgsr.stereo.patch_match import DepthMap, match_views
 from mgsr.stereo.photographs import StereoPhotographs
 
-Part = Callable[[], Sequence[AbstractContextManager[Any]]]
 
+@dataclass(frozen=True)
+class Part:
+    """A start without one of its parts: functions of `masked_surface` that are replaced, and settings."""
 
-def _replaced(**parts: Any) -> list[AbstractContextManager[Any]]:
-    return [patch.object(masked_surface, name, part) for name, part in parts.items()]
+    replaced: dict[str, Any] = field(default_factory=dict)
+    settings: tuple[str, ...] = ()
+
+    def options(self) -> ExpertConfig:
+        """Return the options of the algorithms with the part's settings."""
+        return make_config(overrides=self.settings).expert
 
 
 def _unmoved(mesh: Mesh, *rest: Any, **more: Any) -> Mesh:
@@ -53,12 +57,12 @@ def _nothing(*rest: Any) -> Mesh:
 
 
 PARTS: dict[str, Part] = {
-    "stereo": lambda: _replaced(fuse_roughly=_nothing),
-    "stereo at half the size": lambda: _replaced(weigh_gaps=lambda coarse, fine: [0 * each for each in coarse]),
-    "total variation": lambda: [patch.object(fusion, "VARIATION", 1e-6)],
-    "the hull where it is likelier": lambda: _replaced(CLEARLY=0.0, DISBELIEVED=np.inf),
-    "shading": lambda: _replaced(estimate_light=lambda *given: LightEstimate(), shape_from_shading=_unmoved),
-    "parallax": lambda: _replaced(refine_photometrically=_unmoved),
+    "stereo": Part({"fuse_roughly": _nothing}),
+    "stereo at half the size": Part({"weigh_gaps": lambda coarse, fine: [0 * each for each in coarse]}),
+    "total variation": Part(settings=("fusion.variation=1e-6",)),
+    "the hull where it is likelier": Part(settings=("mirror_share=0", "disbelieved=1e9")),
+    "shading": Part({"estimate_light": lambda *given: LightEstimate(), "shape_from_shading": _unmoved}),
+    "parallax": Part({"refine_photometrically": _unmoved}),
 }
 
 
@@ -82,25 +86,23 @@ def arguments() -> argparse.Namespace:
 def measured(path: Path) -> list[PartRow]:
     """Return a row for the start with all parts and for the start without each."""
     scene = load_scene(path, make_config("standard").data)
-    outlines, truth, rows = silhouettes(scene.train, MASK_SIDE), find_truth(scene), []
-    hull = carve(outlines, np.zeros(3), 1.05, RESOLUTION)
+    outlines, truth, rows = silhouettes(scene.train, StartConfig().mask_side), find_truth(scene), []
+    hull = carve(outlines, np.zeros(3), 1.05, StartConfig().resolution)
 
     maps: dict[int, list[DepthMap]] = {}
 
-    def once(photographs: StereoPhotographs, caster: RayCaster, seed: int, **more: Any) -> list[DepthMap]:
+    def once(photographs: StereoPhotographs, caster: RayCaster, seed: int, *rest: Any) -> list[DepthMap]:
         width = photographs.cameras[0].width
         if width not in maps:
             maps[width] = match_views(photographs, caster, seed)
         return maps[width]
 
-    for without, part in {ALL: lambda: [], **PARTS}.items():
-        with ExitStack() as stack:
-            for change in (*_replaced(match_views=once), *part()):
-                stack.enter_context(change)
+    for without, part in {ALL: Part(), **PARTS}.items():
+        with patch.multiple(masked_surface, match_views=once, **part.replaced):
             if without == ALL:
                 find_surface(scene.train, outlines, hull, 0)  # makes stereo's maps
             began = time.process_time()
-            surface = find_surface(scene.train, outlines, hull, 0)
+            surface = find_surface(scene.train, outlines, hull, 0, expert=part.options())
             seconds = time.process_time() - began
         scores = scores_of(surface.mesh, scene, truth)
         rows.append(

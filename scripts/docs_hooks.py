@@ -17,9 +17,13 @@ from latex2mathml.converter import convert
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # mkdocs loads this file by its path
 
-from scripts.options_page import paper_markdown, settings_markdown  # noqa: E402
+from scripts.options_page import expert_markdown, paper_markdown, settings_markdown  # noqa: E402
 
-SETTINGS, PAPER = "<!-- settings of mgsr/config -->", "<!-- settings of mgsr/config/paper.py -->"
+TABLES = {
+    "<!-- settings of mgsr/config -->": settings_markdown,
+    "<!-- settings of mgsr/config/paper.py -->": paper_markdown,
+    "<!-- settings of mgsr/config/expert -->": expert_markdown,
+}
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.S)
 # Made from measurements by other scripts; the menu names them where they are.
 MADE = {"evidence.md": "Evidence"}
@@ -34,7 +38,9 @@ def on_config(config: Any) -> Any:
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Put the settings where a page asks for them, and turn links that leave docs/ into names of files."""
-    markdown = markdown.replace(SETTINGS, settings_markdown()).replace(PAPER, paper_markdown())
+    for mark, table in TABLES.items():
+        if mark in markdown:
+            markdown = markdown.replace(mark, table())
     return re.sub(r"\[([^\]]+)\]\(\.\./([^)]+)\)", r"\1 (`\2`)", markdown)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import re
 import sys
 from enum import Enum, StrEnum
 from pathlib import Path
@@ -15,20 +16,27 @@ from typing import Any, get_args, get_type_hints
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from mgsr.config import ABLATIONS, METHODS, PRESETS, Config
+from mgsr.config.options import ranges
 from worker.comments import field_comments
 
-PAPER = "train.paper"
+PAPER, EXPERT = "train.paper", "expert"
 
 
 def settings_markdown() -> str:
     """Return a heading and a table for each group that users set, then what the presets and methods change."""
-    parts = [_group(prefix, node) for prefix, node in _groups(Config()) if prefix not in ("", PAPER)]
+    apart = (PAPER, EXPERT)
+    parts = [_group(prefix, node) for prefix, node in _groups(Config()) if prefix and not prefix.startswith(apart)]
     return "\n\n".join([*parts, _rows("presets", PRESETS), _rows("methods", METHODS)])
 
 
 def paper_markdown() -> str:
     """Return the table of the settings that only reproduce the paper's rows, then what each row changes."""
     return "\n\n".join([_group(PAPER, Config().train.paper), _rows("rows of the paper's ablation", ABLATIONS)])
+
+
+def expert_markdown() -> str:
+    """Return a heading and a table for each group of the algorithms' options."""
+    return "\n\n".join(_group(prefix, node) for prefix, node in _groups(Config().expert, EXPERT))
 
 
 def _groups(node: Any, prefix: str = "") -> list[tuple[str, Any]]:
@@ -43,19 +51,15 @@ def _groups(node: Any, prefix: str = "") -> list[tuple[str, Any]]:
 
 def _group(prefix: str, node: Any) -> str:
     hints, comments = get_type_hints(type(node)), field_comments(type(node))
-    lines = [
-        f"### `{prefix}`",
-        "",
-        inspect.getdoc(type(node)) or "",
-        "",
-        "| setting | default | meaning |",
-        "|---|---|---|",
-    ]
+    valid = ranges(type(node))
+    head = "| setting | default | valid | meaning |" if valid else "| setting | default | meaning |"
+    lines = [f"### `{prefix}`", "", inspect.getdoc(type(node)) or "", "", head, re.sub(r"[^|]+", "---", head)]
     for field in dataclasses.fields(node):
         value = getattr(node, field.name)
         if not dataclasses.is_dataclass(value):
             meaning = " ".join(filter(None, (comments.get(field.name), _choices(hints[field.name]))))
-            lines.append(f"| `{field.name}` | `{_shown(value)}` | {meaning.replace('|', '&#124;')} |")
+            cells = [f"`{field.name}`", f"`{_shown(value)}`", *([str(valid.get(field.name, ""))] if valid else [])]
+            lines.append(f"| {' | '.join(cells)} | {meaning.replace('|', '&#124;')} |")
     return "\n".join(lines) if len(lines) > 6 else "\n".join(lines[:3])
 
 
@@ -85,4 +89,4 @@ def _rows(title: str, table: dict[str, dict[str, str]]) -> str:
 
 
 if __name__ == "__main__":
-    print(settings_markdown(), paper_markdown(), sep="\n\n")
+    print(settings_markdown(), paper_markdown(), expert_markdown(), sep="\n\n")

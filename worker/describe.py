@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 import types
 from enum import StrEnum
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any, Union, get_args, get_origin
 
 from mgsr import __version__
 from mgsr.config import METHODS, PRESETS, RENAMED, Config, field_types
+from mgsr.config.options import Range, ranges
 from service import contract
 from worker.comments import field_comments
 
@@ -27,7 +29,9 @@ def describe_library() -> dict[str, Any]:
     """
     defaults = Config()
     settings = {
-        path: _schema(kind) | _meaning(defaults, path, kind) | {"default": _value(defaults, path)}
+        path: _schema(kind, _range(defaults, path))
+        | _meaning(defaults, path, kind)
+        | {"default": _value(defaults, path)}
         for path, kind in field_types(defaults).items()
         if path not in ("preset", "method", "seed")
     }
@@ -40,14 +44,22 @@ def as_text(library: dict[str, Any]) -> str:
     return json.dumps(library, indent=1) + "\n"
 
 
-def _schema(kind: Any) -> dict[str, Any]:
+def _range(defaults: Config, path: str) -> Range:
+    """Return the valid values of a number; no setting may be negative (`mgsr.config.validate`)."""
+    group, _, name = path.rpartition(".")
+    return ranges(type(_value(defaults, group))).get(name, Range())
+
+
+def _schema(kind: Any, valid: Range) -> dict[str, Any]:
     if get_origin(kind) in (Union, types.UnionType):
         inner = next(part for part in get_args(kind) if part is not type(None))
-        return {"anyOf": [_schema(inner), {"type": "null"}]}
+        return {"anyOf": [_schema(inner, valid), {"type": "null"}]}
     if issubclass(kind, StrEnum):
         return {"type": "string", "enum": [str(member) for member in kind]}
-    if kind in (int, float):  # no setting may be negative: mgsr.config.validate
-        return {"type": {int: "integer", float: "number"}[kind], "minimum": 0}
+    if kind in (int, float):
+        least = {"exclusiveMinimum" if valid.open else "minimum": valid.least}
+        most = {} if valid.most == math.inf else {"maximum": valid.most}
+        return {"type": {int: "integer", float: "number"}[kind], **least, **most}
     return {"type": {bool: "boolean", str: "string"}[kind]}
 
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mgsr.config import MeshConfig
-from mgsr.mesh.steps import STEPS
+from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import rendered_pixels, surface_cells
 
 USUAL_PIXELS = 256 * 256
@@ -87,13 +87,13 @@ def usual_count(start: int, facts: Facts) -> int:
 def surface_cost(facts: Facts, config: MeshConfig) -> float:
     """Return the seconds that rendering the surface's views and extracting it takes, without its refinement."""
     base = 0.3 + 12.0 * surface_cells(facts, config) ** 2 + 0.55 * rendered_pixels(facts, config) / 1e6
-    seconds: float = base + sum(step.cost(facts, config) for step in STEPS if not step.refines)
+    seconds: float = base + sum(step.cost(facts, config) for step in mesh_steps() if not step.refines)
     return seconds
 
 
 def refinement_cost(facts: Facts, config: MeshConfig) -> float:
     """Return the seconds of all mesh steps that refine it against the photographs."""
-    seconds: float = sum(step.cost(facts, config) for step in STEPS if step.refines)
+    seconds: float = sum(step.cost(facts, config) for step in mesh_steps() if step.refines)
     return seconds
 
 

@@ -5,8 +5,9 @@ METHODS, then the caller's ``key=value`` overrides. ABLATIONS has the paper's ro
 """
 
 from mgsr.config.capture import Blurred, DataConfig, Exposure, Masks, Object, object_box
+from mgsr.config.expert import ExpertConfig
 from mgsr.config.making import ablation_overrides, make_config
-from mgsr.config.overrides import RENAMED, apply_overrides, field_types, override_texts
+from mgsr.config.overrides import EXPERT, RENAMED, apply_overrides, field_types, override_texts
 from mgsr.config.paper import (
     ABLATIONS,
     AlphaLoss,
@@ -40,6 +41,7 @@ from mgsr.config.validation import validate
 
 __all__ = [
     "ABLATIONS",
+    "EXPERT",
     "METHODS",
     "PRESETS",
     "RENAMED",
@@ -52,6 +54,7 @@ __all__ = [
     "DensifyConfig",
     "DepthUnit",
     "EnvironmentMapConfig",
+    "ExpertConfig",
     "Exposure",
     "Extractor",
     "GaussianConfig",

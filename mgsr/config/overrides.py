@@ -13,6 +13,8 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 from mgsr.config.run import Config
 from mgsr.errors import ConfigError
 
+EXPERT = "expert."  # what the paths of the algorithms' options begin with
+
 # Names and groups of settings in other versions, parts of a dotted path each, and what they are called here.
 RENAMED: dict[str, str] = {
     "volumes": "gaussians",
@@ -71,14 +73,14 @@ def _text(value: object) -> str:
 
 def apply_overrides(config: Config, overrides: Sequence[str]) -> Config:
     """Return the configuration with ``key=value`` pairs set, later ones last. Raises ConfigError as `make_config`."""
-    paths = field_types(config)
+    paths, values = field_types(config), {}
     for override in overrides:
         key, equals, text = override.partition("=")
         if not equals:
             raise ConfigError(f"--set {override}: expected key=value, for example masks=off")
         path = _find_path(key.strip(), list(paths))
-        config = _replaced(config, path.split("."), _parse(path, text.strip(), paths[path]))
-    return config
+        values[path] = _parse(path, text.strip(), paths[path])
+    return _replaced(config, values) if values else config
 
 
 def field_types(config: Any, prefix: str = "") -> dict[str, Any]:
@@ -92,11 +94,15 @@ def field_types(config: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def _find_path(key: str, paths: list[str]) -> str:
-    """Return the one field that a key names: its full path, or parts of it in order that end in the field's name."""
+    """Return the one field that a key names: its full path, or parts of it in order that end in the field's name.
+
+    Options of algorithms give way to settings that users set.
+    """
     if key in paths:
         return key
     parts = key.split(".")
     hits = [path for path in paths if path.split(".")[-1] == parts[-1] and _in_order(parts, path.split("."))]
+    hits = [path for path in hits if not path.startswith(EXPERT)] or hits
     if len(hits) == 1:
         return hits[0]
     if hits:
@@ -153,9 +159,23 @@ def _expected(kind: Any) -> str:
     return words
 
 
-def _replaced(node: Any, path: list[str], value: Any) -> Any:
-    head, *rest = path
-    return replace(node, **{head: _replaced(getattr(node, head), rest, value) if rest else value})
+def _replaced(node: Any, values: Mapping[str, Any], prefix: str = "") -> Any:
+    """Return a nested dataclass with the values at dotted paths. Raises ConfigError for values that it refuses.
+
+    All values of a dataclass are set at once, as its `__post_init__` may compare them. prefix: its own path.
+    """
+    groups: dict[str, dict[str, Any]] = {}
+    for path, value in values.items():
+        head, _, rest = path.partition(".")
+        groups.setdefault(head, {})[rest] = value
+    changed = {
+        head: below[""] if "" in below else _replaced(getattr(node, head), below, f"{prefix}{head}.")
+        for head, below in groups.items()
+    }
+    try:
+        return replace(node, **changed)
+    except ConfigError as error:
+        raise ConfigError(f"{prefix}{error}") from error
 
 
 def value_at(node: Any, path: str) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from mgsr.config.capture import DataConfig
+from mgsr.config.expert import ExpertConfig
 from mgsr.config.surface import MeshConfig, OutputConfig
 from mgsr.config.train import TrainConfig
 
@@ -22,6 +23,7 @@ class Config:
     train: TrainConfig = field(default_factory=TrainConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
     output: OutputConfig = field(default_factory=OutputConfig)
+    expert: ExpertConfig = field(default_factory=ExpertConfig)
 
 
 # What each preset changes; times are for 48 views at 256 x 256 on two cores, with the meshing. Slow cores take up to

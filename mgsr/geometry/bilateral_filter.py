@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import sparse
 
+from mgsr.config.expert import BilateralOptions
 from mgsr.geometry.mesh import Mesh
 
 CHUNK = 65_536  # faces whose neighbourhoods are held in memory at a time
-
-
-@dataclass(frozen=True)
-class BilateralOptions:
-    """Numbers of the bilateral normal filter."""
-
-    rounds: int = 4  # of filtering the normals; more rounds flatten real detail
-    steps: int = 10  # of moving the vertices to match the normals
-    folded: float = 0.7  # cosine between a face's normal and its filtered one below which the face counts as folded
 
 
 def bilateral_normal_filter(mesh: Mesh, angle: float, options: BilateralOptions = BilateralOptions()) -> Mesh:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from mgsr.config.expert import ContourOptions, ContourSearchOptions
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.silhouettes import Silhouette
 from mgsr.data.valid_mask import valid_inside
@@ -21,19 +22,6 @@ from mgsr.geometry.displace import smooth_displacements
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
-
-
-@dataclass(frozen=True)
-class ContourOptions:
-    """Settings of the registration to silhouette contours; pixels are those of the masks."""
-
-    search: float = 3.0  # pixels on both sides of a mask's contour in which to search for the mesh's contour
-    step: float = 0.25  # pixels between two rays of the search
-    finer: int = 8  # rays that refine the contour within a step; fewer pull surfaces inwards by 0.04 pixels
-    facing: float = 0.5  # least cosine between the surface normal and the contour's outward direction
-    coarse_edge: float = 1.0  # pixels; edge length of the coarse mesh that carries the smooth correction
-    prior_weight: float = 0.02  # of a displacement of 0 where no contour touches: lets a vertex follow its neighbours
-    rounds: int = 2  # of finding the mesh's contours and moving its vertices
 
 
 @dataclass(frozen=True)
@@ -74,22 +62,22 @@ def fit_contours(
     smoothing: the distance, in mask pixels, over which a correction spreads.
     """
     pixel = pixel_size([contour.camera for contour in contours], mesh.vertices.mean(axis=0))
-    coarse = coarser(mesh, options.coarse_edge * pixel)
+    coarse = coarser(mesh, options.coarse_edge * pixel, options.max_faces)
     prolongation, stay = coarse.prolongation(mesh.vertices), options.prior_weight
     reach = smoothing * pixel / coarse.edge_length * (len(mesh.vertices) / len(coarse.vertices)) ** 0.25
     for _ in range(options.rounds):
-        target, touched = contour_gaps(mesh, contours, options)
+        target, touched = contour_gaps(mesh, contours, options.search)
         held = np.minimum(touched, 1)
         moves = prolongation @ smooth_displacements(
             coarse.laplacian, target * held / (held + stay), held + stay, reach, prolongation
         )
-        limit = options.search * pixel
+        limit = options.search.search * pixel
         mesh = mesh.moved(mesh.vertices + np.clip(moves, -limit, limit)[:, None] * mesh.normals)
     return mesh
 
 
 def contour_gaps(
-    mesh: Mesh, contours: Sequence[SilhouetteContour], options: ContourOptions = ContourOptions()
+    mesh: Mesh, contours: Sequence[SilhouetteContour], options: ContourSearchOptions = ContourSearchOptions()
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the displacements [V] along a mesh's normals that bring its silhouette contours onto the masks'.
 
@@ -124,7 +112,7 @@ class _MeshContour:
     gaps: np.ndarray
 
 
-def _mesh_contour(caster: RayCaster, contour: SilhouetteContour, options: ContourOptions) -> _MeshContour:
+def _mesh_contour(caster: RayCaster, contour: SilhouetteContour, options: ContourSearchOptions) -> _MeshContour:
     """Find the mesh's outermost point across each contour point, if it lies within the search distance."""
     search, step, finer = options.search, options.step, options.finer
     camera, steps = contour.camera, np.arange(-search, search + step / 2, step)

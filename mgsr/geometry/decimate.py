@@ -8,8 +8,6 @@ import numpy as np
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import drop_degenerate
 
-MAX_FACES = 150_000  # upper limit for the meshes that optimisations run on
-
 
 def decimate(mesh: Mesh, face_count: int) -> Mesh:
     """Reduce a mesh to about `face_count` faces. A mesh with no more faces is returned unchanged."""
@@ -21,10 +19,10 @@ def decimate(mesh: Mesh, face_count: int) -> Mesh:
     return drop_degenerate(Mesh(points.astype(np.float64), triangles.astype(np.int64)))
 
 
-def coarser(mesh: Mesh, edge: float) -> Mesh:
-    """Simplify a mesh to edges of length `edge` or longer, and to MAX_FACES faces at most.
+def coarser(mesh: Mesh, edge: float, max_faces: int) -> Mesh:
+    """Simplify a mesh to edges of length `edge` or longer, and to `max_faces` faces at most.
 
     edge: in the vertices' unit. At least 1000 faces stay if the mesh has as many.
     """
     area = np.linalg.norm(mesh.face_crosses, axis=1).sum() / 2
-    return decimate(mesh, min(MAX_FACES, max(1000, round(area / (0.433 * edge**2)))))
+    return decimate(mesh, min(max_faces, max(1000, round(area / (0.433 * edge**2)))))

@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from mgsr.config.expert import LowFrequencyOptions
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import integrate_normals
 from mgsr.geometry.mesh import Mesh
 
 CHUNK = 8192  # vertices whose neighbourhoods are handled at a time
-
-
-@dataclass(frozen=True)
-class LowFrequencyOptions:
-    """Settings of the smoothing of low-frequency waves. The caller gives the unit, such as a pixel's size."""
-
-    edge: float = 1.0  # units; edge length of the coarse mesh that is smoothed
-    reach: float = 2.5  # units; standard deviation of the Gaussian that weighs a vertex's neighbours
-    far: float = 2.0  # times reach; neighbours farther away do not count
-    rounds: int = 3  # of filtering the normals
-    regularization: float = 0.15  # times reach squared; pulls a fit's slopes to 0 where neighbours are few
-    kept: float = 2.0  # units; wavelengths above 2 pi times this keep their positions, shorter ones follow the normals
 
 
 def smooth_low_frequency(
@@ -39,7 +26,7 @@ def smooth_low_frequency(
     flattens round surfaces. So each normal is a linear fit here: local regression (Cleveland 1979) with the weights of
     a bilateral filter (Tomasi and Manduchi 1998). The vertices follow the normals, and the large shape stays.
     """
-    coarse = coarser(mesh, options.edge * unit)
+    coarse = coarser(mesh, options.edge * unit, options.max_faces)
     if len(coarse.faces) == 0:
         return mesh
     target = _fitted_normals(coarse, unit, np.deg2rad(angle), options)

@@ -7,7 +7,7 @@ from time import perf_counter
 
 import numpy as np
 
-from mgsr.config import Extractor, MeshConfig
+from mgsr.config import ExpertConfig, Extractor, MeshConfig
 from mgsr.data.scene import View
 from mgsr.data.silhouettes import Silhouette
 from mgsr.errors import MeshError
@@ -17,7 +17,7 @@ from mgsr.mesh.consistency import SilhouetteHull, compare_views
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
-from mgsr.mesh.steps import STEPS
+from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepReport, TimeLeft, cure
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.mesh.surface_choice import is_torn, photographs_prefer_start
@@ -36,8 +36,9 @@ def extract_mesh(
     threads: int | None = None,
     go_on: Callable[[], bool] = lambda: True,
     start: Mesh | None = None,
-    steps: Sequence[MeshStep] = STEPS,
+    steps: Sequence[MeshStep] | None = None,
     ground: np.ndarray | None = None,
+    expert: ExpertConfig = ExpertConfig(),
 ) -> ReconstructedMesh:
     """Extract the surface that the views show, in their frame, and finish it in steps (`mgsr.mesh.steps`).
 
@@ -46,7 +47,8 @@ def extract_mesh(
     None: all. go_on: returns whether there is time for another round of refinement. start: the surface on which
     training began. It replaces the trained surface if the photographs clearly prefer it. If the trained surface is
     torn, `start` fitted to the views replaces it. ground [4]: the plane on which the object stands, in the views'
-    frame, where the mesh ends; None if it is unknown.
+    frame, where the mesh ends; None if it is unknown. steps: those that finish the mesh; None: all.
+    expert: the options of all algorithms.
 
     Raises MeshError, with the reason, if there is no surface.
     """
@@ -54,12 +56,14 @@ def extract_mesh(
     if footprint is None:
         raise MeshError(_nothing_seen(views, config))
     hull = SilhouetteHull(silhouettes) if silhouettes and config.hull_margin is not None else None
-    photos = PhotoSet(photographs, silhouettes, threads)
+    photos = PhotoSet(photographs, silhouettes, threads, expert.shading.observations)
     context = StepContext(views, photos, config, footprint, hull, TimeLeft(go_on), ground)
     extract = {Extractor.POISSON: _by_poisson, Extractor.TSDF: _by_tsdf}[config.extractor]
     trained = extract(context)
-    chosen = None if start is None else _better_start(start, trained, context)
-    mesh, light, reports = take_steps(trained if chosen is None else chosen, context, steps)
+    chosen = None if start is None else _better_start(start, trained, context, expert)
+    mesh, light, reports = take_steps(
+        trained if chosen is None else chosen, context, mesh_steps(expert) if steps is None else steps
+    )
     colors = vertex_colors(mesh, views, config.min_alpha, _tolerance(config), threads)
     return ReconstructedMesh(mesh.vertices, mesh.faces, colors, light.kind, chosen is not None, reports).with_normals(
         mesh.normals
@@ -80,7 +84,7 @@ def take_steps(
     return mesh, light, reports
 
 
-def _better_start(start: Mesh, trained: Mesh, context: StepContext) -> Mesh | None:
+def _better_start(start: Mesh, trained: Mesh, context: StepContext, expert: ExpertConfig) -> Mesh | None:
     """Return the surface on which training began if it is better; it is fitted to the views if the trained one is torn.
 
     Returns None if the trained surface stays.
@@ -90,7 +94,7 @@ def _better_start(start: Mesh, trained: Mesh, context: StepContext) -> Mesh | No
         return None
     if is_torn(trained, start):
         return fit_to_views(start, context.views, _rules(config), _tolerance(config), photos.threads)
-    return start if photographs_prefer_start(start, trained, photos) else None
+    return start if photographs_prefer_start(start, trained, photos, expert) else None
 
 
 def _tolerance(config: MeshConfig) -> float:

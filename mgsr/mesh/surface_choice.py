@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from mgsr.config import ExpertConfig
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.environment_residual import environment_residuals
-from mgsr.shading.light_estimate import MAX_ENVIRONMENT_RATIO
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.stereo.photo_consistency import photo_consistency
 from mgsr.stereo.photographs import stereo_photographs
@@ -33,14 +33,17 @@ def _openings(mesh: Mesh) -> int:
     return 2 * mesh.components[0] - (len(np.unique(mesh.faces)) - len(mesh.edges) + len(mesh.faces))
 
 
-def photographs_prefer_start(start: Mesh, trained: Mesh, photos: PhotoSet) -> bool:
+def photographs_prefer_start(
+    start: Mesh, trained: Mesh, photos: PhotoSet, expert: ExpertConfig = ExpertConfig()
+) -> bool:
     """Return whether the photographs clearly prefer the surface on which training began.
 
-    start, trained: in the scene's frame.
+    start, trained: in the scene's frame. expert: the options of all algorithms.
     """
-    on_start, on_trained = (each.ratio for each in environment_residuals((start, trained), photos))
-    if on_start <= MAX_ENVIRONMENT_RATIO:
+    light = expert.shading.light
+    on_start, on_trained = (each.ratio for each in environment_residuals((start, trained), photos, light.environment))
+    if on_start <= light.max_environment_ratio:
         return on_start <= CLEARLY * on_trained
-    prepared = stereo_photographs(photos.views)
-    before, after = (photo_consistency(prepared, surface.caster) for surface in (start, trained))
+    prepared = stereo_photographs(photos.views, expert.stereo.max_object_pixels)
+    before, after = (photo_consistency(prepared, surface.caster, expert.stereo.match) for surface in (start, trained))
     return before > after + BETTER

@@ -31,7 +31,16 @@ def make_mesh(
     views = surface_views(model, scene, config)
     outlined = outlined_scene(model, scene, config)
     silhouettes = scene_silhouettes(outlined)
-    mesh = extract_mesh(views, config.mesh, silhouettes, outlined.train, go_on=go_on, start=start, ground=scene.ground)
+    mesh = extract_mesh(
+        views,
+        config.mesh,
+        silhouettes,
+        outlined.train,
+        go_on=go_on,
+        start=start,
+        ground=scene.ground,
+        expert=config.expert,
+    )
     to_user = scene.user_from_scene.to_user
     textured = None
     if config.output.texture is not None:

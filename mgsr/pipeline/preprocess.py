@@ -88,7 +88,8 @@ def preprocess(
 
     def points(of: Scene, during: str, text: str) -> StartingPoints:
         count, progress = most_points(config, budget), step.share(during, text)
-        return starting_points(with_masks(of, masks), count, config.seed, progress, config.train.background)
+        masked, background = with_masks(of, masks), config.train.background
+        return starting_points(masked, count, config.seed, progress, background, config.expert)
 
     result_files.clear_findings(out)
     clear_object(out)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsr.config import SurfaceDepth, make_config, override_texts
+from mgsr.config.expert import IrradianceOptions
 from mgsr.data.scene import Scene, Similarity
 from mgsr.errors import ConfigError, MgsrError, in_short
 from mgsr.export.far_origin import origin_of_frame
@@ -150,18 +151,21 @@ def load_result(out: str | os.PathLike[str]) -> Reconstruction:
     try:
         if report.input is None or report.light is None or report.start_kept is None or report.mesh_steps is None:
             raise KeyError("input, light, start_kept or mesh_steps")
-        unit = float((report.settings or {})["output"]["scale"])
+        settings = report.settings or {}
+        unit = float(settings["output"]["scale"])
         frame = report.input.user_from_scene
         normalisation = Similarity(frame.scale / unit, np.array(frame.offset, np.float64) / unit)
         steps = {name: StepReport(**vars(step)) for name, step in report.mesh_steps.items()}
         light = LightKind(report.light)
+        shading = settings["expert"]["shading"]
+        irradiance = IrradianceOptions(**shading["light"]["flash"]["irradiance"])
     except (LookupError, TypeError, ValueError) as error:
         raise MgsrError(f"{folder}: its report is of another version ({in_short(error)}); run again") from error
     origin = origin_of_frame(normalisation)
     return Reconstruction(
         mesh=read_mesh(folder).with_report(light, report.start_kept, steps),
         model=read_models(folder, Similarity(offset=origin)),
-        flash=read_lighting(folder),
+        flash=read_lighting(folder, irradiance),
         report=report,
         paths=ResultPaths(folder),
         origin=origin,

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from mgsr.config import OutputConfig, Up
+from mgsr.config import Config, OutputConfig, Up
+from mgsr.config.expert import IrradianceOptions
 from mgsr.data.exposure import evened
 from mgsr.data.scene import Exposures, Scene, Similarity
 from mgsr.errors import MgsrError, in_short
@@ -108,19 +110,19 @@ def write_lighting(out: Path, lighting: Lighting, scene: Scene) -> None:
         write_flash(path, lighting.moved(scene.user_from_scene), origin_of_frame(scene.user_from_scene))
 
 
-def as_lit(out: Path, scene: Scene) -> Scene:
+def as_lit(out: Path, scene: Scene, config: Config) -> Scene:
     """Return the scene with the irradiance of the flash that the run in `out` found, if it found one.
 
     Raises SceneError for a file that is damaged.
     """
-    lighting = read_lighting(out)
+    lighting = read_lighting(out, config.expert.shading.light.flash.irradiance)
     return scene if lighting is None else lit_scene(scene, lighting.moved(scene.user_from_scene.inverse))
 
 
-def read_lighting(out: Path) -> Lighting | None:
+def read_lighting(out: Path, options: IrradianceOptions) -> Lighting | None:
     """Read the flash that the run in `out` found, in the user's frame; None where it found none. Raises SceneError for
     a file that is damaged."""
-    return load_flash(out / FLASH) if (out / FLASH).is_file() else None
+    return replace(load_flash(out / FLASH), options=options) if (out / FLASH).is_file() else None
 
 
 def write_models(out: Path, model: TrainedModel, scene: Scene, output: OutputConfig) -> None:

@@ -36,7 +36,7 @@ def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> R
     chosen = pick_device(device)
     scene = with_found_object(out, at_known_exposures(out, load_scene(path, config.data)))
     # The run compared its surface with the starting surface, which the same seed reproduces.
-    begun_on = starting_points(scene, 1, config.seed).surface if scene.masked else None
+    begun_on = starting_points(scene, 1, config.seed, expert=config.expert).surface if scene.masked else None
     mesh = make_mesh(read_models(out, scene.user_from_scene).to(chosen.torch), scene, config, start=begun_on)
     write_mesh(out, mesh, scene, config.output)
     return mesh
@@ -51,7 +51,7 @@ def render_again(path: Path, out: Path, config: Config, device: str = "auto", as
     chosen = pick_device(device)
     if as_scene is not None:
         require_new_folder(as_scene)
-    scene = as_lit(out, with_found_object(out, load_scene(path, config.data)))
+    scene = as_lit(out, with_found_object(out, load_scene(path, config.data)), config)
     models = read_models(out, scene.user_from_scene).to(chosen.torch)
     if as_scene is not None:
         write_scene_folder(as_scene, rendered_scene(models, scene, config), config.output.scale)
@@ -65,7 +65,7 @@ def score_again(path: Path, out: Path, config: Config, device: str = "auto") -> 
     Raises ConfigError, SceneError, GpuError, and MgsrError where there are no splats.
     """
     chosen = pick_device(device)
-    scene = as_lit(out, with_found_object(out, at_known_exposures(out, load_scene(path, config.data))))
+    scene = as_lit(out, with_found_object(out, at_known_exposures(out, load_scene(path, config.data))), config)
     models = read_models(out, scene.user_from_scene).to(chosen.torch)
     behind = scene.backdrop(config.train.background)
     scores = image_scores(list(render_views(models, scene.test, config)), scene, behind.color).to_json()

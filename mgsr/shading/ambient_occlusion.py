@@ -13,14 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from mgsr.config.expert import OcclusionOptions
 from mgsr.data.photograph import Photograph
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import tangents
 from mgsr.parallel import map_ahead
 from mgsr.shading.observations import read_image, seen_frontal
 
-RAYS = 64  # for each vertex
-GRAZING = 0.05  # least cosine between normal and view direction at which a photograph's brightness counts
 TURN = np.pi * (3 - np.sqrt(5))  # radians from ray to ray: the golden angle spreads the rays evenly
 
 
@@ -50,48 +49,54 @@ class AmbientOcclusion:
 
 
 def estimate_occlusion(
-    mesh: Mesh, photographs: Sequence[Photograph], gap: float, threads: int | None = None
+    mesh: Mesh,
+    photographs: Sequence[Photograph],
+    gap: float,
+    threads: int | None = None,
+    options: OcclusionOptions = OcclusionOptions(),
 ) -> AmbientOcclusion:
     """Estimate ambient occlusion and one-bounce interreflection for every vertex of a mesh.
 
     gap: the largest depth of a vertex behind the faces around it, in the scene's unit.
     """
-    columns = map_ahead(lambda each: _shown(mesh, each, gap), photographs, threads)
-    around = _around(mesh, gap)
+    columns = map_ahead(lambda each: _shown(mesh, each, gap, options.min_cosine), photographs, threads)
+    around = _around(mesh, gap, options.rays)
     hidden = np.asarray(around.sum(axis=1)).ravel()
     return AmbientOcclusion(mesh, 1 - hidden, around @ np.stack(list(columns), axis=1))
 
 
-def _shown(mesh: Mesh, photograph: Photograph, gap: float) -> np.ndarray:
+def _shown(mesh: Mesh, photograph: Photograph, gap: float, min_cosine: float) -> np.ndarray:
     """Return each vertex's brightness [V] in a photograph, in linear light; 0 where it is not visible."""
     vertices, normals = mesh.vertices, mesh.double_normals
     offsets = photograph.camera.center - vertices
     cosines = (offsets * normals).sum(axis=1) / np.linalg.norm(offsets, axis=1)
-    seen = seen_frontal(mesh.caster, photograph.camera, vertices, normals, cosines > GRAZING, gap, photograph.interior)
+    seen = seen_frontal(
+        mesh.caster, photograph.camera, vertices, normals, cosines > min_cosine, gap, photograph.interior
+    )
     pixels, _ = photograph.camera.project(vertices[seen])
     brightness = np.zeros(len(vertices), np.float32)
     brightness[seen] = read_image(photograph.brightness, pixels)
     return brightness
 
 
-def _around(mesh: Mesh, gap: float) -> sparse.csr_matrix:
+def _around(mesh: Mesh, gap: float, rays: int) -> sparse.csr_matrix:
     """Return the share [V,V] of each vertex's sky (row) that every other vertex (column) fills.
 
-    Each vertex casts RAYS rays with a cosine distribution, on a spiral that is rotated from vertex to vertex.
+    Each vertex casts `rays` rays with a cosine distribution, on a spiral that is rotated from vertex to vertex.
     """
     vertices, faces, normals = mesh.vertices, mesh.faces, mesh.double_normals
     first, second = tangents(normals)
     outwards = mesh.face_crosses
     turned = 2 * np.pi * np.random.default_rng(0).random(len(vertices))
     places, shares = [], []
-    for ray in range(RAYS):
-        square, angle = (ray + 0.5) / RAYS, ray * TURN + turned
+    for ray in range(rays):
+        square, angle = (ray + 0.5) / rays, ray * TURN + turned
         level = np.sqrt(square) * (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second)
         directions = level + np.sqrt(1 - square) * normals
         hits = mesh.caster.cast_rays(vertices + gap * normals, directions)
         met = np.flatnonzero(hits.mask)
         met = met[(outwards[hits.face[met]] * directions[met]).sum(axis=1) < 0]
         places.append(np.stack([np.repeat(met, 3), faces[hits.face[met]].ravel()]))
-        shares.append(hits.barycentric[met].ravel() / RAYS)
+        shares.append(hits.barycentric[met].ravel() / rays)
     size = (len(vertices), len(vertices))
     return sparse.coo_matrix((np.concatenate(shares), np.concatenate(places, axis=1)), size).tocsr()

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, ndimage
 
+from mgsr.config.expert import DetailOptions
 from mgsr.data.images import srgb_rate
 from mgsr.data.photograph import Photograph
 from mgsr.geometry.displace import diffuse
@@ -22,16 +23,10 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import map_ahead
 from mgsr.shading.environment_fit import FittedEnvironmentMap
 from mgsr.shading.light_models import LightModel
-from mgsr.shading.lighting import DIMMEST, GAMMA, Lighting
+from mgsr.shading.lighting import GAMMA, Lighting
 from mgsr.shading.observations import lie_within, read_image, seen_frontal
 
-BLUR = 1.0  # pixels; standard deviation of the Gaussian against image noise
-DETAIL = 3.0  # pixels; standard deviation of the wider Gaussian that is subtracted, as coarser variation is shading
-MIN_COS = 0.3  # least cosine between normal and view direction
-MIN_OBSERVATIONS = 4  # least number of photographs that see a vertex
-MAX_DEVIATIONS = 3.0  # of the residual; outliers beyond this do not count for the mix
 GREY = np.full(3, 1 / 3)  # the mean of the channels
-CLEARER = 1.5  # least gain in information of another mix over GREY
 
 
 @dataclass(frozen=True)
@@ -52,22 +47,26 @@ class KnownLight:
 
 @dataclass(frozen=True)
 class ObservedMesh:
-    """A mesh under refinement; pixel: the size of a photograph's pixel on it, in the scene's unit."""
+    """A mesh under refinement.
+
+    pixel: the size of a photograph's pixel on it, in the scene's unit. options: of the detail.
+    """
 
     mesh: Mesh
     pixel: float
+    options: DetailOptions = DetailOptions()
 
     def around(self, values: np.ndarray, reach: float) -> np.ndarray:
         """Smooth values [V,...] over about `reach` pixels of the surface."""
         return diffuse(values, self.mesh.laplacian, reach * self.pixel / self.mesh.edge_length)
 
     def detail(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """Return values [N,V] minus their mean over DETAIL pixels around, and 0 at unknown vertices.
+        """Return values [N,V] minus their mean over some pixels around, and 0 at unknown vertices.
 
         known [V] bool: the vertices that count, all with the same weight, so that photographs of the same vertices
         subtract the same means.
         """
-        around = self.around(np.stack([*(values * known), known], axis=1), DETAIL)
+        around = self.around(np.stack([*(values * known), known], axis=1), self.options.coarse)
         return np.asarray(known * (values - around[:, :-1].T / np.maximum(around[:, -1], 1e-6)))
 
 
@@ -97,15 +96,20 @@ class ChannelMix:
         return np.asarray(srgb_rate(self.photograph.view.image[rows, columns] / 255) @ self.mix)
 
 
-def mix_channels(photographs: Sequence[Photograph], mix: np.ndarray, threads: int | None) -> list[ChannelMix]:
+def mix_channels(
+    photographs: Sequence[Photograph],
+    mix: np.ndarray,
+    threads: int | None,
+    options: DetailOptions = DetailOptions(),
+) -> list[ChannelMix]:
     """Mix the channels of photographs by weights [3]; in sRGB, as its noise is more uniform than linear light's."""
 
     def mixed(photograph: Photograph) -> ChannelMix:
         inside = photograph.opaque
-        share = ndimage.gaussian_filter(inside.astype(np.float32), BLUR)
+        share = ndimage.gaussian_filter(inside.astype(np.float32), options.blur)
         values = photograph.view.image @ (mix / 255).astype(np.float32)
-        blurred = ndimage.gaussian_filter(values * inside, BLUR) / np.maximum(share, 1e-6)
-        usable = ndimage.binary_erosion(inside, iterations=round(2 * BLUR))
+        blurred = ndimage.gaussian_filter(values * inside, options.blur) / np.maximum(share, 1e-6)
+        usable = ndimage.binary_erosion(inside, iterations=round(2 * options.blur))
         return ChannelMix(photograph, mix, blurred, usable)
 
     return list(map_ahead(mixed, photographs, threads))
@@ -117,21 +121,22 @@ def choose_mix(
     """Find the channel weights [3] whose detail locates the surface best.
 
     The mix maximises the ratio of slope to residual: it is the leading generalised eigenvector of the covariances of
-    the slopes and of the residuals. The result is GREY unless the mix is CLEARER times as informative.
+    the slopes and of the residuals. The result is GREY unless the mix is `min_gain` times as informative.
     """
-    single = [mix_channels(photographs, channel, threads) for channel in np.eye(3)]
+    options = surface.options
+    single = [mix_channels(photographs, channel, threads, options) for channel in np.eye(3)]
     channels = [read_details(surface, mixes, light, threads) for mixes in single]
     weights = channels[0].weights
     residual = np.stack([centered(channel.mixed, weights)[weights > 0] for channel in channels])
     change = np.stack([centered(channel.change, weights)[weights > 0] for channel in channels])
     residual_energy = np.abs(GREY @ residual)
-    usual = residual_energy <= MAX_DEVIATIONS * 1.4826 * np.median(residual_energy) if weights.any() else []
+    usual = residual_energy <= options.max_deviations * 1.4826 * np.median(residual_energy) if weights.any() else []
     weighed = weights[weights > 0] * usual
     noise, steep = ((weighed * part) @ part.T for part in (residual, change))
     noise += (1e-6 * np.trace(noise) + 1e-12) * np.eye(3)
     mix = linalg.eigh(steep, noise)[1][:, -1]
     gain, grey_gain = (axis @ steep @ axis / (axis @ noise @ axis) for axis in (mix, GREY))
-    return mix / np.abs(mix).sum() if gain > CLEARER * grey_gain else GREY
+    return mix / np.abs(mix).sum() if gain > options.min_gain * grey_gain else GREY
 
 
 @dataclass(frozen=True)
@@ -153,7 +158,7 @@ def read_details(surface: ObservedMesh, mixes: Sequence[ChannelMix], light: Know
     """Sample the detail of the surface's vertices in all photographs."""
     rows = map_ahead(lambda each: _read_one(surface, each, light), mixes, threads)
     details = Details(*(np.stack(columns, axis=1) for columns in zip(*rows, strict=True)))
-    details.weights[(details.weights > 0).sum(axis=1) < MIN_OBSERVATIONS] = 0
+    details.weights[(details.weights > 0).sum(axis=1) < surface.options.min_observations] = 0
     return details
 
 
@@ -170,8 +175,8 @@ def _read_one(surface: ObservedMesh, mix: ChannelMix, light: KnownLight) -> np.n
     column[:2] = surface.detail(column[:2], column[3] > 0)
     if light.mirrors is not None:
         shine = light.mirrors.mirrored(normals, samples.view_directions)
-        fine = shine - surface.around(shine, DETAIL)
-        fine = np.sqrt(fine**2 + surface.around(fine**2, DETAIL))
+        fine = shine - surface.around(shine, surface.options.coarse)
+        fine = np.sqrt(fine**2 + surface.around(fine**2, surface.options.coarse))
         column[2, samples.seen] = fine[samples.seen] * mix.rates(samples.pixels)
     return column
 
@@ -198,13 +203,16 @@ def sample_view(surface: ObservedMesh, mix: ChannelMix, light: KnownLight) -> Vi
     offsets = camera.center - places
     view_directions = offsets / np.linalg.norm(offsets, axis=1, keepdims=True)
     cosines = (view_directions * normals).sum(axis=1)
-    seen = seen_frontal(surface.mesh.caster, camera, places, normals, cosines > MIN_COS, surface.pixel)
+    seen = seen_frontal(
+        surface.mesh.caster, camera, places, normals, cosines > surface.options.min_cosine, surface.pixel
+    )
     pixels, _ = camera.project(places[seen])
     weights, lit = cosines[seen] * lie_within(mix.usable, pixels), np.ones(len(seen))
     if light.lighting is not None:
         falling = light.lighting.falling_on(camera, places[seen], normals[seen])
-        lit = np.maximum(falling, DIMMEST) ** (1 / GAMMA)
-        weights *= lit**2 * (falling >= DIMMEST)
+        dimmest = light.lighting.options.dimmest
+        lit = np.maximum(falling, dimmest) ** (1 / GAMMA)
+        weights *= lit**2 * (falling >= dimmest)
     return ViewSamples(view_directions, seen, pixels, lit, weights)
 
 

@@ -14,36 +14,31 @@ from scipy import sparse
 from scipy.ndimage import map_coordinates
 from scipy.sparse.linalg import LinearOperator, cg
 
+from mgsr.config.expert import EnvironmentFitOptions
 from mgsr.shading.observations import Observations
-
-HEIGHT, WIDTH = 32, 64  # of the map: polar angle by azimuth, in steps of 5.6 degrees
-CELLS = 64  # cells along a side of the lookup table, which resolves directions to 2 degrees
-POINTS = 6000  # most points in the fit
-SMOOTHNESS = 0.002  # weight of the squared differences of neighbouring cells, relative to the observations
-ROUNDS = 3  # of iteratively reweighted least squares
-OUTLIER = 3.0  # deviations at which an observation counts half
 
 
 @dataclass(frozen=True)
 class FittedEnvironmentMap:
     """An environment map fitted to observations.
 
-    light [HEIGHT,WIDTH]: float32 linear light, up to a constant. deviation: the root mean square residual of the
-    observations, in linear light. ratio: of that to the deviation without a map, from each point's mean brightness.
+    light [H,2H]: float32 linear light, up to a constant; polar angle by azimuth. deviation: the root mean square
+    residual of the observations, in linear light. ratio: of that to the deviation without a map, from each point's mean
+    brightness.
     """
 
     light: np.ndarray
     deviation: float
     ratio: float
 
-    def table(self) -> np.ndarray:
-        """Return a table [CELLS^3] float32 of the light in the directions of the cells of the cube [-1,1]^3.
+    def table(self, cells: int) -> np.ndarray:
+        """Return a table [cells^3] float32 of the light in the directions of the cells of the cube [-1,1]^3.
 
         `look_up` reads it without computing angles.
         """
-        middles = (np.arange(CELLS, dtype=np.float32) + 0.5) * (2 / CELLS) - 1
-        cells = np.stack(np.meshgrid(middles, middles, middles, indexing="ij"), axis=-1)
-        rows, columns = _places(cells / np.linalg.norm(cells, axis=-1, keepdims=True))
+        middles = (np.arange(cells, dtype=np.float32) + 0.5) * (2 / cells) - 1
+        places = np.stack(np.meshgrid(middles, middles, middles, indexing="ij"), axis=-1)
+        rows, columns = _places(places / np.linalg.norm(places, axis=-1, keepdims=True), len(self.light))
         wide = np.concatenate([self.light[:, -1:], self.light, self.light[:, :1]], axis=1)
         values: np.ndarray = map_coordinates(wide, [rows, columns + 1], order=1, mode="nearest").ravel()
         return values
@@ -51,25 +46,30 @@ class FittedEnvironmentMap:
     def mirrored(self, normals: np.ndarray, view_directions: np.ndarray) -> np.ndarray:
         """Return the light [P] that points with unit normals [P,3] mirror to unit directions view_directions [P,3]."""
         directions = 2 * (view_directions * normals).sum(axis=1, keepdims=True) * normals - view_directions
-        return np.asarray(_sampling(directions) @ self.light.ravel())
+        return np.asarray(_sampling(directions, len(self.light)) @ self.light.ravel())
 
 
-def look_up(table: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+def look_up(table: np.ndarray, cells: int, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Return the light [...] in unit directions with components x, y and z [...].
 
-    table [CELLS^3]: from `FittedEnvironmentMap.table`.
+    table [cells^3]: from `FittedEnvironmentMap.table`.
     """
-    x, y, z = (((axis + 1) * np.float32(CELLS * 0.49999)).astype(np.int32) for axis in (x, y, z))
-    values: np.ndarray = table[(x * CELLS + y) * CELLS + z]
+    x, y, z = (((axis + 1) * np.float32(cells * 0.49999)).astype(np.int32) for axis in (x, y, z))
+    values: np.ndarray = table[(x * cells + y) * cells + z]
     return values
 
 
-def fit_environment_map(observations: Observations, normals: np.ndarray, seed: int = 0) -> FittedEnvironmentMap:
+def fit_environment_map(
+    observations: Observations,
+    normals: np.ndarray,
+    seed: int = 0,
+    options: EnvironmentFitOptions = EnvironmentFitOptions(),
+) -> FittedEnvironmentMap:
     """Fit the environment map that best explains the observations of points with unit normals [P,3].
 
-    The fit is robust least squares over at most POINTS points, drawn with `seed`.
+    The fit is robust least squares over at most `options.points` points, drawn with `seed`.
     """
-    points, seen = _well_read(observations, seed)
+    points, seen = _well_read(observations, seed, options)
     view_directions, brightness, weights = (
         observations.view_directions[points],
         observations.brightness[points],
@@ -77,25 +77,25 @@ def fit_environment_map(observations: Observations, normals: np.ndarray, seed: i
     )
     owners = np.nonzero(seen)[0]
     own, eye = normals[points][owners], view_directions[seen]
-    rows = _sampling(2 * (eye * own).sum(1, keepdims=True) * own - eye)
-    equations = _EnvironmentEquations(rows, brightness[seen].astype(float), owners)
+    rows = _sampling(2 * (eye * own).sum(1, keepdims=True) * own - eye, options.height)
+    equations = _EnvironmentEquations(rows, brightness[seen].astype(float), owners, options)
     given = weights[seen].astype(float)
     light, current = np.zeros(rows.shape[1]), given
-    for _ in range(ROUNDS):
+    for _ in range(options.rounds):
         light = equations.solve(current, light)
         residual = equations.residual(light, current)
         spread = 1.4826 * np.median(np.abs(residual)) + 1e-9
-        current = given / (1 + (residual / (OUTLIER * spread)) ** 2)
+        current = given / (1 + (residual / (options.outlier * spread)) ** 2)
     deviation = _deviation(residual, given)
     plain = _deviation(equations.residual(np.zeros_like(light), given), given)
     return FittedEnvironmentMap(
-        light.reshape(HEIGHT, WIDTH).astype(np.float32), deviation, deviation / max(plain, 1e-9)
+        light.reshape(options.height, -1).astype(np.float32), deviation, deviation / max(plain, 1e-9)
     )
 
 
 @dataclass(frozen=True)
 class _EnvironmentEquations:
-    """The linear equations of the map: brightness [Q] = rows [Q,HEIGHT*WIDTH] @ light + diffuse brightness.
+    """The linear equations of the map: brightness [Q] = rows [Q,C] @ light [C] + diffuse brightness.
 
     owners [Q]: the point of each observation. A point's diffuse brightness is the same in all its observations.
     """
@@ -103,10 +103,11 @@ class _EnvironmentEquations:
     rows: sparse.csr_matrix
     brightness: np.ndarray
     owners: np.ndarray
+    options: EnvironmentFitOptions
 
     def solve(self, weights: np.ndarray, start: np.ndarray) -> np.ndarray:
-        """Return the weighted least-squares map [HEIGHT*WIDTH]; weights [Q]; start [HEIGHT*WIDTH]: the first guess."""
-        smooth = SMOOTHNESS * weights.sum() / (HEIGHT * WIDTH) * _steps_squared()
+        """Return the weighted least-squares map [C]; weights [Q]; start [C]: the first guess."""
+        smooth = self.options.smoothness * weights.sum() / self.rows.shape[1] * _steps_squared(self.options.height)
         turned = self.rows.T.tocsr()
 
         def apply(light: np.ndarray) -> np.ndarray:
@@ -121,7 +122,7 @@ class _EnvironmentEquations:
         return solution
 
     def residual(self, light: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return the residuals [Q] of a map [HEIGHT*WIDTH], with each point's diffuse brightness by weights [Q]."""
+        """Return the residuals [Q] of a map [C], with each point's diffuse brightness by weights [Q]."""
         return self._without_own(self.brightness - self.rows @ light, weights)
 
     def _without_own(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -131,41 +132,45 @@ class _EnvironmentEquations:
         return centred
 
 
-def _well_read(observations: Observations, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Draw points that at least three photographs see.
+def _well_read(observations: Observations, seed: int, options: EnvironmentFitOptions) -> tuple[np.ndarray, np.ndarray]:
+    """Draw points that at least `options.min_observations` photographs see.
 
     Returns their indices [Q], and which of their observations have weight, [Q,K] bool.
     """
-    points = np.flatnonzero(observations.counts >= 3)
-    if len(points) > POINTS:
-        points = np.sort(np.random.default_rng(seed).choice(points, POINTS, replace=False))
+    points = np.flatnonzero(observations.counts >= options.min_observations)
+    if len(points) > options.points:
+        points = np.sort(np.random.default_rng(seed).choice(points, options.points, replace=False))
     return points, observations.weights[points] > 0
 
 
-def _places(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the map's row and column, [...] each, for unit directions [...,3]; cell centres are integers."""
+def _places(directions: np.ndarray, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the row and column, [...] each, of a map of `height` rows for unit directions [...,3].
+
+    Cell centres are integers.
+    """
     polar = np.arccos(np.clip(directions[..., 2], -1, 1)) / np.pi
     azimuth = np.arctan2(directions[..., 1], directions[..., 0]) / (2 * np.pi) % 1
-    return polar * HEIGHT - 0.5, azimuth * WIDTH - 0.5
+    return polar * height - 0.5, azimuth * (2 * height) - 0.5
 
 
-def _sampling(directions: np.ndarray) -> sparse.csr_matrix:
-    """Return the matrix [Q,HEIGHT*WIDTH] that samples the map bilinearly in unit directions [Q,3]."""
-    rows, columns = _places(directions)
+def _sampling(directions: np.ndarray, height: int) -> sparse.csr_matrix:
+    """Return the matrix [Q,height*2*height] that samples a map bilinearly in unit directions [Q,3]."""
+    width = 2 * height
+    rows, columns = _places(directions, height)
     top, first = np.floor(rows).astype(int), np.floor(columns).astype(int)
     down, along = rows - top, columns - first
     cells, shares = [], []
     for row, row_share in ((top, 1 - down), (top + 1, down)):
         for column, column_share in ((first, 1 - along), (first + 1, along)):
-            cells.append(np.clip(row, 0, HEIGHT - 1) * WIDTH + column % WIDTH)
+            cells.append(np.clip(row, 0, height - 1) * width + column % width)
             shares.append(row_share * column_share)
     places = (np.tile(np.arange(len(rows)), 4), np.concatenate(cells))
-    return sparse.coo_matrix((np.concatenate(shares), places), (len(rows), HEIGHT * WIDTH)).tocsr()
+    return sparse.coo_matrix((np.concatenate(shares), places), (len(rows), height * width)).tocsr()
 
 
-def _steps_squared() -> sparse.csr_matrix:
+def _steps_squared(height: int) -> sparse.csr_matrix:
     """Return the quadratic form of neighbouring cells' differences; the map wraps around in azimuth."""
-    cells = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
+    cells = np.arange(2 * height**2).reshape(height, -1)
     pairs = np.concatenate(
         [
             np.stack([cells.ravel(), np.roll(cells, -1, axis=1).ravel()], 1),

@@ -9,17 +9,14 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
+from mgsr.config.expert import EnvironmentNormalOptions, EnvironmentOptions
 from mgsr.geometry.displace import diffuse, mean_normals
 from mgsr.geometry.triangles import tangents
 from mgsr.parallel import map_ahead
 from mgsr.shading.environment_fit import FittedEnvironmentMap, fit_environment_map, look_up
 from mgsr.shading.observations import Observations
-from mgsr.shading.target_normals import MIN_OBSERVATIONS, TargetNormals
+from mgsr.shading.target_normals import TargetNormals
 
-MAX_TILT, STEP = 16.0, 4.0  # degrees; the largest tilt on each of two axes, and the search's step
-OUTLIER = 3.0  # deviations at which an observation counts half
-TILT_COST = 0.08  # cost of a tilt by 10 degrees, relative to the observations' mean cost
-HALF_CONFIDENCE = 4.0  # degrees; standard deviation of a normal at which the confidence is 0.5
 CHUNK = 1000  # points at a time, so that their observations stay in the cache
 
 
@@ -30,29 +27,29 @@ def normals_from_environment(
     reach: float,
     still: np.ndarray,
     threads: int | None,
+    options: EnvironmentOptions = EnvironmentOptions(),
 ) -> TargetNormals:
     """Estimate the normals of a mesh's P vertices from one environment map that they all mirror.
 
     normals [P,3]: the mesh's unit normals. laplacian [P,P]: its uniform Laplacian (`Mesh.laplacian`). reach: the number
     of edges over which the costs of neighbours are pooled. still [P] in 0..1: 0 lets a normal tilt fully, 1 keeps it.
     """
-    own = mean_normals(normals, laplacian, rounds=1)
-    environment = fit_environment_map(observations, own)
-    tilts = np.tan(np.radians(np.arange(-MAX_TILT, MAX_TILT + STEP / 2, STEP)))
+    search, own = options.normals, mean_normals(normals, laplacian, rounds=1)
+    environment = fit_environment_map(observations, own, options=options.fit)
+    tilts = np.tan(np.radians(np.arange(-search.max_tilt, search.max_tilt + search.step / 2, search.step)))
     first, second = tangents(own)
-    costs = _costs(observations, environment, np.stack([first, second, own], axis=1), tilts, threads)
+    costs = _costs(observations, environment, np.stack([first, second, own], axis=1), tilts, threads, search)
     costs = diffuse(costs, laplacian, reach)
     squares = tilts[:, None] ** 2 + tilts[None] ** 2
-    costs += TILT_COST * costs.mean() * squares.ravel() / np.tan(np.radians(10)) ** 2
+    costs += search.tilt_cost * costs.mean() * squares.ravel() / np.tan(np.radians(10)) ** 2
     across, along, cost, bends = _lowest(costs.reshape(-1, len(tilts), len(tilts)), tilts)
     change = across[:, None] * first + along[:, None] * second
     target = normals + (1 - still)[:, None] * change
     target /= np.linalg.norm(target, axis=1, keepdims=True).clip(1e-9)
     weights = diffuse(observations.weights.sum(axis=1)[:, None], laplacian, reach)[:, 0]
-    variance = 2 * cost / np.maximum(weights, 1e-6) * (STEP**2 / np.maximum(bends, 1e-9)).sum(axis=0)
-    return TargetNormals(
-        target, np.where(observations.counts >= MIN_OBSERVATIONS, 1 / (1 + variance / HALF_CONFIDENCE**2), 0)
-    )
+    variance = 2 * cost / np.maximum(weights, 1e-6) * (search.step**2 / np.maximum(bends, 1e-9)).sum(axis=0)
+    enough = observations.counts >= search.min_observations
+    return TargetNormals(target, np.where(enough, 1 / (1 + variance / search.half_confidence**2), 0))
 
 
 def _costs(
@@ -61,23 +58,27 @@ def _costs(
     frames: np.ndarray,
     tilts: np.ndarray,
     threads: int | None,
+    options: EnvironmentNormalOptions,
 ) -> np.ndarray:
     """Return the robust cost [P,T*T] of the residual for each tilt of the normals.
 
     frames [P,3,3]: rows of two tangents and the normal, unit. tilts [T]: tangents of the angles along each tangent.
     """
-    table, outlier = environment.table(), OUTLIER * environment.deviation + 1e-9
+    table, outlier = environment.table(options.cells), options.outlier * environment.deviation + 1e-9
     parts = np.array_split(np.arange(len(frames)), -(-len(frames) // CHUNK))
-    costs = map_ahead(lambda part: _part(observations.at(part), table, frames[part], tilts, outlier), parts, threads)
-    return np.concatenate(list(costs))
+
+    def cost(part: np.ndarray) -> np.ndarray:
+        return _part(observations.at(part), table, options.cells, frames[part], tilts, outlier)
+
+    return np.concatenate(list(map_ahead(cost, parts, threads)))
 
 
 def _part(
-    observations: Observations, table: np.ndarray, frames: np.ndarray, tilts: np.ndarray, outlier: float
+    observations: Observations, table: np.ndarray, cells: int, frames: np.ndarray, tilts: np.ndarray, outlier: float
 ) -> np.ndarray:
     """Return the costs [C,T*T] of a chunk of C points (`_costs`).
 
-    table [CELLS^3]: the environment map's lookup table. frames [C,3,3], tilts [T]: as for `_costs`. outlier: the
+    table [cells^3]: the environment map's lookup table. frames [C,3,3], tilts [T]: as for `_costs`. outlier: the
     residual at which an observation's cost is half its limit, in linear light.
     """
     along = np.einsum("pai,pki->apk", frames, observations.view_directions).astype(np.float32)
@@ -88,7 +89,7 @@ def _part(
         tilted = (first * frames[:, 0] + second * frames[:, 1] + frames[:, 2]).astype(np.float32)
         length = 1 + first**2 + second**2
         twice = np.float32(2 / length) * (np.float32(first) * along[0] + np.float32(second) * along[1] + along[2])
-        shown = look_up(table, *(twice * tilted[:, axis, None] - eye[axis] for axis in range(3)))
+        shown = look_up(table, cells, *(twice * tilted[:, axis, None] - eye[axis] for axis in range(3)))
         residual = observations.brightness - shown
         residual -= (observations.weights * residual).sum(axis=1, keepdims=True) / total
         squares = (residual / outlier) ** 2

@@ -12,17 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsr.config.expert import EnvironmentOptions, EnvironmentResidualOptions
 from mgsr.data.camera import Camera
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import diffuse
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.environment_fit import FittedEnvironmentMap
-from mgsr.shading.light_models import ENVIRONMENT_EDGE, FRONTAL, fit_mirrored_environment
+from mgsr.shading.light_models import fit_mirrored_environment
 from mgsr.shading.observations import Observations
 from mgsr.shading.photo_set import PhotoSet
-
-AROUND = 6.0  # pixels over which residuals are averaged
-FEWEST = 3  # least number of observations of a point that counts
 
 
 @dataclass(frozen=True)
@@ -45,22 +43,25 @@ class EnvironmentResidual:
         return np.asarray(np.where(hits.mask & (corners > 0).all(axis=-1), corners.mean(axis=-1), 0))
 
 
-def environment_residuals(meshes: Sequence[Mesh], photos: PhotoSet) -> list[EnvironmentResidual]:
+def environment_residuals(
+    meshes: Sequence[Mesh], photos: PhotoSet, options: EnvironmentOptions = EnvironmentOptions()
+) -> list[EnvironmentResidual]:
     """Return each mesh's residual; the variances use one map for all, the one with the least ratio on its own mesh."""
     read = []
     for mesh in meshes:
         pixel = photos.pixel_on(mesh)
-        coarse = coarser(mesh, ENVIRONMENT_EDGE * pixel)
+        coarse = coarser(mesh, options.edge * pixel, options.max_faces)
         observations = photos.observer(pixel).observe(coarse)
-        environment = fit_mirrored_environment(observations, coarse.double_normals)
-        read.append((coarse, pixel, observations.frontal(FRONTAL), environment))
+        environment = fit_mirrored_environment(observations, coarse.double_normals, options)
+        read.append((coarse, pixel, observations.frontal(options.min_cosine), environment))
     best = min((each[-1] for each in read), key=lambda environment: environment.ratio)
-    return [
-        EnvironmentResidual(
-            mesh, _pooled(mesh, pixel, observations, _residual(observations, mesh.double_normals, best)), own.ratio
+    found = []
+    for mesh, pixel, observations, own in read:
+        residual = _residual(observations, mesh.double_normals, best)
+        found.append(
+            EnvironmentResidual(mesh, _pooled(mesh, pixel, observations, residual, options.residual), own.ratio)
         )
-        for mesh, pixel, observations, own in read
-    ]
+    return found
 
 
 def _residual(observations: Observations, normals: np.ndarray, environment: FittedEnvironmentMap) -> np.ndarray:
@@ -74,12 +75,18 @@ def _residual(observations: Observations, normals: np.ndarray, environment: Fitt
     return residual
 
 
-def _pooled(mesh: Mesh, pixel: float, observations: Observations, residual: np.ndarray) -> np.ndarray:
-    """Return the variance [V] of residuals [V,K] about each vertex's mean, averaged over AROUND pixels."""
-    weights = np.where(observations.counts[:, None] >= FEWEST, observations.weights, 0)
+def _pooled(
+    mesh: Mesh,
+    pixel: float,
+    observations: Observations,
+    residual: np.ndarray,
+    options: EnvironmentResidualOptions,
+) -> np.ndarray:
+    """Return the variance [V] of residuals [V,K] about each vertex's mean, averaged over some pixels."""
+    weights = np.where(observations.counts[:, None] >= options.min_observations, observations.weights, 0)
     total = weights.sum(axis=1)
     means = (weights * residual).sum(axis=1) / np.maximum(total, 1e-9)
     squares = (weights * (residual - means[:, None]) ** 2).sum(axis=1)
-    reach = AROUND * pixel / mesh.edge_length
+    reach = options.averaged * pixel / mesh.edge_length
     sums = diffuse(np.stack([squares, total], axis=1), mesh.laplacian, reach)
     return np.asarray(sums[:, 0] / np.maximum(sums[:, 1], 1e-9))

@@ -13,17 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsr.config.expert import FlashOptions
 from mgsr.data.camera import Camera
 from mgsr.parallel import map_ahead
 from mgsr.shading.ambient_occlusion import AmbientOcclusion
 from mgsr.shading.lighting import lamp_light
 from mgsr.shading.observations import Observations
-from mgsr.shading.target_normals import MIN_OBSERVATIONS, TargetNormals
+from mgsr.shading.target_normals import TargetNormals
 
-PRIOR_WEIGHT = 0.005  # of the surface's own normal, relative to the photographs
-ROUNDS = 5  # of iteratively reweighted least squares
-ABOVE, BELOW = 0.5, 1.5  # deviations at which an observation that is too bright, or too dark, counts half
-HALF_CONFIDENCE = 0.03  # radians; standard deviation of a normal at which the confidence is 0.5
 CHUNK = 4096  # points at a time
 
 
@@ -49,7 +46,7 @@ class Flash:
         return positions
 
 
-def flash_ratio(observations: Observations, normals: np.ndarray) -> float:
+def flash_ratio(observations: Observations, normals: np.ndarray, options: FlashOptions = FlashOptions()) -> float:
     """Return the share of the brightness's deviation that a flash at the lens leaves unexplained.
 
     normals [P,3]: the observed points' unit normals. A point's share is its deviation from the flash's shading over its
@@ -60,7 +57,7 @@ def flash_ratio(observations: Observations, normals: np.ndarray) -> float:
     cosines = np.maximum(np.einsum("pki,pi->pk", observations.view_directions, normals), 0)
     shaded = deviation(brightness - cosines * least_squares_scale(brightness, cosines, weights)[:, None], weights)
     plain = deviation(brightness - least_squares_scale(brightness, np.ones_like(cosines), weights)[:, None], weights)
-    enough = observations.counts >= MIN_OBSERVATIONS
+    enough = observations.counts >= options.min_observations
     return float(np.median(shaded[enough] / np.maximum(plain[enough], 1e-9))) if enough.any() else np.inf
 
 
@@ -72,6 +69,7 @@ def normals_from_flash(
     cameras: Sequence[Camera],
     occlusion: AmbientOcclusion,
     threads: int | None = None,
+    options: FlashOptions = FlashOptions(),
 ) -> TargetNormals:
     """Estimate the normals of points from a flash's shading, by photometric stereo.
 
@@ -87,13 +85,12 @@ def normals_from_flash(
         distances = np.linalg.norm(to_lamps, axis=-1)
         ambient = (flash.ambient * sky_visibility[part, None] + flash.bounced * interreflection[part]) * distances**2
         brightness, weights = some.brightness * distances**2, some.weights**2
-        return _solve(to_lamps / distances[..., None], brightness, ambient, weights, normals[part])
+        return _solve(to_lamps / distances[..., None], brightness, ambient, weights, normals[part], options)
 
     parts = np.array_split(np.arange(len(points)), -(-len(points) // CHUNK))
     solved, known = (np.concatenate(column) for column in zip(*map_ahead(explain, parts, threads), strict=True))
-    return TargetNormals(
-        solved, np.where(observations.counts >= MIN_OBSERVATIONS, 1 / (1 + (known / HALF_CONFIDENCE) ** 2), 0)
-    )
+    enough = observations.counts >= options.min_observations
+    return TargetNormals(solved, np.where(enough, 1 / (1 + (known / options.half_confidence) ** 2), 0))
 
 
 def fit_albedo(
@@ -103,6 +100,7 @@ def fit_albedo(
     flash: Flash,
     cameras: Sequence[Camera],
     occlusion: AmbientOcclusion,
+    options: FlashOptions = FlashOptions(),
 ) -> np.ndarray:
     """Estimate the albedo [P] of points [P,3] with unit normals [P,3], without highlights.
 
@@ -113,15 +111,20 @@ def fit_albedo(
     light = lamp + flash.ambient * sky_visibility[:, None] + flash.bounced * interreflection
     brightness = observations.brightness.astype(float)
     weights = current = observations.weights**2
-    for _ in range(ROUNDS):
+    for _ in range(options.rounds):
         albedo = least_squares_scale(brightness, light, current)
-        current = irls_weights(brightness - albedo[:, None] * light, weights, current)
+        current = irls_weights(brightness - albedo[:, None] * light, weights, current, options)
     clipped: np.ndarray = np.maximum(albedo, 0)
     return clipped
 
 
 def _solve(
-    lamp_directions: np.ndarray, brightness: np.ndarray, ambient: np.ndarray, weights: np.ndarray, normals: np.ndarray
+    lamp_directions: np.ndarray,
+    brightness: np.ndarray,
+    ambient: np.ndarray,
+    weights: np.ndarray,
+    normals: np.ndarray,
+    options: FlashOptions,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Solve for unit normals [P,3] and their standard deviations [P], in radians, by robust least squares.
 
@@ -130,8 +133,8 @@ def _solve(
     """
     current, solved = weights, normals
     products = np.stack([lamp_directions[..., i] * lamp_directions[..., j] for i, j in _PAIRS], axis=1)
-    for _ in range(ROUNDS):
-        own = PRIOR_WEIGHT * current.sum(axis=1)
+    for _ in range(options.rounds):
+        own = options.prior_weight * current.sum(axis=1)
         cosines = np.maximum(np.einsum("pki,pi->pk", lamp_directions, solved), 0)
         albedo = least_squares_scale(brightness, cosines + ambient, current)
         lit = brightness - albedo[:, None] * ambient
@@ -139,7 +142,7 @@ def _solve(
         right = np.einsum("pki,pk->pi", lamp_directions, lit * current) + (own * albedo)[:, None] * normals
         tilted = np.linalg.solve(matrix, right[..., None])[..., 0]
         residual = lit - np.einsum("pki,pi->pk", lamp_directions, tilted)
-        current = irls_weights(residual, weights, current)
+        current = irls_weights(residual, weights, current, options)
         solved = tilted / np.maximum(np.linalg.norm(tilted, axis=1, keepdims=True), 1e-9)
     spread = np.trace(np.linalg.inv(matrix), axis1=1, axis2=2)
     return solved, deviation(residual, current) / np.maximum(albedo, 1e-9) * np.sqrt(spread)
@@ -161,7 +164,7 @@ def deviation(residual: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return deviations
 
 
-def irls_weights(residual: np.ndarray, weights: np.ndarray, current: np.ndarray) -> np.ndarray:
+def irls_weights(residual: np.ndarray, weights: np.ndarray, current: np.ndarray, options: FlashOptions) -> np.ndarray:
     """Return robust weights [P,K], which are lower for larger residuals.
 
     residual [P,K]. weights [P,K]: the weights without regard to the residuals. current [P,K]: the weights of the
@@ -169,6 +172,6 @@ def irls_weights(residual: np.ndarray, weights: np.ndarray, current: np.ndarray)
     ones.
     """
     spread = deviation(residual, current)[:, None] + 1e-6
-    high, low = np.maximum(residual, 0) / (ABOVE * spread), np.minimum(residual, 0) / (BELOW * spread)
+    high, low = np.maximum(residual, 0) / (options.above * spread), np.minimum(residual, 0) / (options.below * spread)
     reduced: np.ndarray = weights / ((1 + high**2) * (1 + low**2))
     return reduced

@@ -12,18 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsr.config.expert import FlashOptions
 from mgsr.data.camera import Camera
 from mgsr.shading.ambient_occlusion import AmbientOcclusion
 from mgsr.shading.flash import Flash, deviation, irls_weights, least_squares_scale
 from mgsr.shading.observations import Observations
-from mgsr.shading.target_normals import MIN_OBSERVATIONS
-
-POINTS = 3000  # approximate number of points in the fit
-STEPS = 40  # most Gauss-Newton steps
-STEP_TOLERANCE = 3e-4  # of the distance to the surface; the fit ends when the lamp moves by less
-ROUNDS = 4  # of reweighting in a step
-DAMPING = 1e-3  # of Levenberg and Marquardt, for weakly constrained parameters
-MAX_OFFSET = 0.25  # of the distance to the surface; largest offset of the lamp from the lens
 
 
 def fit_flash(
@@ -33,14 +26,15 @@ def fit_flash(
     cameras: Sequence[Camera],
     occlusion: AmbientOcclusion,
     start: Flash,
+    options: FlashOptions = FlashOptions(),
 ) -> Flash:
     """Fit the flash that explains the observations of a surface's points [P,3] with unit normals [P,3].
 
     cameras: those of the photographs. start: the initial guess, which is returned if too few photographs see the
     points.
     """
-    seen = np.flatnonzero(observations.counts >= MIN_OBSERVATIONS)
-    seen = seen[:: max(1, len(seen) // POINTS)]
+    fit, seen = options.fit, np.flatnonzero(observations.counts >= options.min_observations)
+    seen = seen[:: max(1, len(seen) // fit.points)]
     if len(seen) == 0:
         return start
     observations = observations.at(seen)
@@ -48,11 +42,11 @@ def fit_flash(
     brightness, weights = observations.brightness.astype(float), observations.weights.astype(float) ** 2
     values = np.array([start.right, start.down, start.ambient, start.bounced])
     distance = float(np.median(observations.distances))
-    for _ in range(STEPS):
-        before, values = values, values + _step(*equations.shade(values), brightness, weights)
-        values[:2] *= min(1, MAX_OFFSET * distance / max(float(np.linalg.norm(values[:2])), 1e-9))
+    for _ in range(fit.steps):
+        before, values = values, values + _step(*equations.shade(values), brightness, weights, options)
+        values[:2] *= min(1, fit.max_offset * distance / max(float(np.linalg.norm(values[:2])), 1e-9))
         values[2:] = np.maximum(values[2:], 0)
-        if np.abs(values - before)[:2].max() < STEP_TOLERANCE * distance:
+        if np.abs(values - before)[:2].max() < fit.step_tolerance * distance:
             break
     return Flash(*values.tolist())
 
@@ -98,21 +92,23 @@ def _equations(
     return _FlashEquations(to_lens, sides, cosines, tilts, ambient)
 
 
-def _step(shade: np.ndarray, slopes: np.ndarray, brightness: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def _step(
+    shade: np.ndarray, slopes: np.ndarray, brightness: np.ndarray, weights: np.ndarray, options: FlashOptions
+) -> np.ndarray:
     """Return the Gauss-Newton step [4] for fitting albedo times shade [P,K] to brightness [P,K].
 
     slopes [P,K,4]: the derivatives of the shade. weights [P,K]. Each point's albedo is eliminated.
     """
     current = weights
-    for _ in range(ROUNDS):
+    for _ in range(options.fit.rounds):
         albedo = least_squares_scale(brightness, shade, current)
         residual = brightness - albedo[:, None] * shade
-        current = irls_weights(residual, weights, current)
+        current = irls_weights(residual, weights, current, options)
     # Variable projection: remove the part of the slopes that a change of albedo explains.
     total = np.maximum((current * shade**2).sum(axis=1), 1e-12)
     along = np.einsum("pk,pkv->pv", current * shade, slopes) / total[:, None]
     slopes = albedo[:, None, None] * (slopes - shade[..., None] * along[:, None])
     current = current / (deviation(residual, current)[:, None] ** 2 + 1e-12)
     matrix = np.einsum("pk,pku,pkv->uv", current, slopes, slopes)
-    matrix += np.diag(DAMPING * matrix.diagonal() + 1e-9)
+    matrix += np.diag(options.fit.damping * matrix.diagonal() + 1e-9)
     return np.linalg.solve(matrix, np.einsum("pk,pkv->v", current * residual, slopes))

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from mgsr.config.expert import EnvironmentOptions, FlashOptions
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import diffuse, mean_normals
 from mgsr.geometry.mesh import Mesh
@@ -21,15 +22,6 @@ from mgsr.shading.observations import Observations
 from mgsr.shading.photo_set import Observer
 from mgsr.shading.pixel_footprint import deconvolve
 from mgsr.shading.target_normals import TargetNormals
-
-OCCLUSION_EDGE = 4.0  # pixels; edge length of the mesh for ambient occlusion
-ENVIRONMENT_EDGE = 2.0  # pixels; edge length of the mesh for the fit of the environment map
-IRRADIANCE_EDGE = 1.5  # pixels; edge length of the mesh that carries a flash's light
-FINE = 1.25  # pixels; on meshes with shorter edges, observations are corrected for the pixels' footprints
-BRIGHTEST = 0.995  # quantile of the irradiance that counts as the brightest light
-FRONTAL = 0.5  # least cosine of the tilt; at grazing angles, reflection is stronger than one map can model (Fresnel)
-POOL = 2.5  # pixels over which the costs of neighbours are pooled
-CONVEX = 0.12  # radians per pixel; convex edges that bend more are kept, as pixels show too little of each side
 
 
 class LightModel(Protocol):
@@ -48,29 +40,33 @@ class LightModel(Protocol):
 class FlashLight:
     """A lamp that moves with the camera. Each call of `explain` refines its position on the refined mesh."""
 
-    def __init__(self, observer: Observer, mesh: Mesh, observations: Observations) -> None:
+    def __init__(
+        self, observer: Observer, mesh: Mesh, observations: Observations, options: FlashOptions = FlashOptions()
+    ) -> None:
         """Estimate the lamp from the observations of a mesh's vertices."""
-        self._observer = observer
+        self._observer, self._options = observer, options
         self._cameras = [photograph.camera for photograph in observer.photographs]
         self._occlusion = self._estimate_occlusion(mesh)
         self._flash = fit_flash(
-            observations, mesh.vertices, mesh.double_normals, self._cameras, self._occlusion, Flash()
+            observations, mesh.vertices, mesh.double_normals, self._cameras, self._occlusion, Flash(), options
         )
 
     def explain(self, mesh: Mesh) -> TargetNormals:
         observations = self._observer.observe(mesh, self._flash.lamps(self._cameras))
         seen, points = (self._cameras, self._occlusion), (mesh.vertices, mesh.double_normals)
-        self._flash = fit_flash(observations, *points, *seen, self._flash)
-        if mesh.edge_length < FINE * self._observer.pixel:
+        self._flash = fit_flash(observations, *points, *seen, self._flash, self._options)
+        if mesh.edge_length < self._options.footprint_edge * self._observer.pixel:
             observations = self._deconvolved(observations, mesh)
-            self._flash = fit_flash(observations, *points, *seen, self._flash)
-        return normals_from_flash(observations, *points, self._flash, *seen, self._observer.threads)
+            self._flash = fit_flash(observations, *points, *seen, self._flash, self._options)
+        return normals_from_flash(observations, *points, self._flash, *seen, self._observer.threads, self._options)
 
     def lighting(self, mesh: Mesh) -> Lighting:
-        mesh = coarser(mesh, IRRADIANCE_EDGE * self._observer.pixel)
+        options = self._options.irradiance
+        mesh = coarser(mesh, options.edge * self._observer.pixel, options.max_faces)
         lamps, occlusion = self._flash.lamps(self._cameras), self._estimate_occlusion(mesh)
         observations, points = self._observer.observe(mesh, lamps), mesh.vertices
-        flash = fit_flash(observations, points, mesh.double_normals, self._cameras, occlusion, self._flash)
+        given = observations, points, mesh.double_normals, self._cameras, occlusion
+        flash = fit_flash(*given, self._flash, self._options)
         sky_visibility, interreflection = occlusion.at(points, observations.photographs)
         # Interreflection varies little between photographs, so its mean over those that show the place is enough.
         seen = observations.weights > 0
@@ -78,9 +74,9 @@ class FlashLight:
         ambient = flash.ambient * sky_visibility + flash.bounced * bounced
         to_lamps = lamps[observations.photographs] - points[:, None]
         light = lamp_light(to_lamps, mesh.double_normals[:, None]) + ambient[:, None]
-        most = float(np.quantile(light[seen], BRIGHTEST)) if seen.any() else 1.0
+        most = float(np.quantile(light[seen], options.brightest)) if seen.any() else 1.0
         proxy_vertex = _nearest(np.asarray(seen.any(axis=1)), mesh)
-        return Lighting(mesh, ambient / most, proxy_vertex, flash.right, flash.down, 1 / most)
+        return Lighting(mesh, ambient / most, proxy_vertex, flash.right, flash.down, 1 / most, options)
 
     def environment(self, mesh: Mesh) -> None:
         return None
@@ -93,7 +89,7 @@ class FlashLight:
             mesh.vertices,
             mesh.double_normals,
         )
-        albedo = fit_albedo(observations, vertices, normals, flash, self._cameras, self._occlusion)
+        albedo = fit_albedo(observations, vertices, normals, flash, self._cameras, self._occlusion, self._options)
         albedo = albedo[_nearest(observations.counts > 0, mesh)]
         sky_visibility, interreflection = self._occlusion.at(
             vertices, np.broadcast_to(np.arange(len(lamps)), (len(vertices), len(lamps)))
@@ -109,41 +105,46 @@ class FlashLight:
                 albedo[some] * (lamp + flash.ambient * visible + flash.bounced * interreflection[some, number])
             )
 
-        return deconvolve(observations, mesh, self._observer.photographs, shown, self._observer.threads)
+        rays = self._options.footprint_rays
+        return deconvolve(observations, mesh, self._observer.photographs, shown, self._observer.threads, rays)
 
     def _estimate_occlusion(self, mesh: Mesh) -> AmbientOcclusion:
-        coarse = coarser(mesh, OCCLUSION_EDGE * self._observer.pixel)
-        return estimate_occlusion(coarse, self._observer.photographs, self._observer.pixel, self._observer.threads)
+        observer, options = self._observer, self._options.occlusion
+        coarse = coarser(mesh, options.edge * observer.pixel, options.max_faces)
+        return estimate_occlusion(coarse, observer.photographs, observer.pixel, observer.threads, options)
 
 
 class EnvironmentLight:
     """A static environment that the surface mirrors."""
 
-    def __init__(self, observer: Observer) -> None:
-        self._observer = observer
+    def __init__(self, observer: Observer, options: EnvironmentOptions = EnvironmentOptions()) -> None:
+        self._observer, self._options = observer, options
 
     def explain(self, mesh: Mesh) -> TargetNormals:
-        observations, pixel = self._observer.observe(mesh), self._observer.pixel
-        reach = POOL * pixel / mesh.edge_length
-        still = _near_sharp_edges(mesh, pixel, reach)
+        options, pixel, threads = self._options, self._observer.pixel, self._observer.threads
+        observations = self._observer.observe(mesh).frontal(options.min_cosine)
+        reach = options.normals.pooled * pixel / mesh.edge_length
+        still = _near_sharp_edges(mesh, pixel, reach, options.normals.convex)
         return normals_from_environment(
-            observations.frontal(FRONTAL), mesh.double_normals, mesh.laplacian, reach, still, self._observer.threads
+            observations, mesh.double_normals, mesh.laplacian, reach, still, threads, options
         )
 
     def lighting(self, mesh: Mesh) -> None:
         return None
 
     def environment(self, mesh: Mesh) -> FittedEnvironmentMap:
-        coarse = coarser(mesh, ENVIRONMENT_EDGE * self._observer.pixel)
-        return fit_mirrored_environment(self._observer.observe(coarse), coarse.double_normals)
+        coarse = coarser(mesh, self._options.edge * self._observer.pixel, self._options.max_faces)
+        return fit_mirrored_environment(self._observer.observe(coarse), coarse.double_normals, self._options)
 
 
-def fit_mirrored_environment(observations: Observations, normals: np.ndarray) -> FittedEnvironmentMap:
+def fit_mirrored_environment(
+    observations: Observations, normals: np.ndarray, options: EnvironmentOptions = EnvironmentOptions()
+) -> FittedEnvironmentMap:
     """Fit the environment map that points with unit normals [P,3] mirror.
 
-    Only observations at a cosine of FRONTAL or more count.
+    Only observations at a cosine of `options.min_cosine` or more count.
     """
-    return fit_environment_map(observations.frontal(FRONTAL), normals)
+    return fit_environment_map(observations.frontal(options.min_cosine), normals, options=options.fit)
 
 
 def _nearest(target: np.ndarray, mesh: Mesh) -> np.ndarray:
@@ -163,16 +164,17 @@ def _nearest(target: np.ndarray, mesh: Mesh) -> np.ndarray:
     return np.asarray(np.where(sources >= 0, sources, own))
 
 
-def _near_sharp_edges(mesh: Mesh, pixel: float, reach: float) -> np.ndarray:
+def _near_sharp_edges(mesh: Mesh, pixel: float, reach: float, convex: float) -> np.ndarray:
     """Return each vertex's nearness [V] to sharp convex edges: 1 beside an edge, 0 far from all.
 
-    pixel: the size of a pixel, in the scene's unit. reach: the distance over which it falls, in edge lengths.
+    pixel: the size of a pixel, in the scene's unit. reach: the distance over which it falls, in edge lengths. convex:
+    the bend, in radians per pixel, above which a convex edge is sharp.
     """
     vertices, laplacian, normals = mesh.vertices, mesh.laplacian, mesh.double_normals
     steps = laplacian @ vertices
     length = np.sqrt(np.maximum((laplacian @ (vertices**2)).sum(1) - 2 * (vertices * steps).sum(1), 1e-20))
     smooth = mean_normals(normals, laplacian, rounds=1)
     bend = -(steps * smooth).sum(1) * 4 / length**2 * pixel
-    sharp = (diffuse(bend[:, None], laplacian, 0.7)[:, 0] > CONVEX).astype(float)
+    sharp = (diffuse(bend[:, None], laplacian, 0.7)[:, 0] > convex).astype(float)
     nearness: np.ndarray = np.clip(4 * diffuse(sharp[:, None], laplacian, max(reach, 0.7))[:, 0], 0, 1)
     return nearness

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from mgsr.config.expert import IrradianceOptions
 from mgsr.data.camera import Camera
 from mgsr.data.images import to_uint8
 from mgsr.data.pixels import PixelStore
@@ -21,9 +22,7 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import map_ahead
 
 GAMMA = 2.4  # of sRGB, away from black
-RAYS = 512  # least number of rays along an image's longer side; small images take several rays for a pixel
 BAND = 1 << 18  # approximate number of rays in a batch
-DIMMEST = 0.02  # least irradiance at which a photograph shows a surface's colour
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ class Lighting:
     irradiance of a surface that faces the lamp at a distance of 1. ambient [V]: the other irradiance of each vertex.
     Both are relative to the brightest irradiance in the photographs. proxy_vertex [V]: the vertex that stands in for
     each vertex in the lighting: itself if a photograph shows it, else the nearest vertex that one shows, as the unseen
-    surface may be folded.
+    surface may be folded. options: of the irradiance.
     """
 
     mesh: Mesh
@@ -43,6 +42,7 @@ class Lighting:
     right: float
     down: float
     lamp: float
+    options: IrradianceOptions = IrradianceOptions()
 
     def seen_by(self, camera: Camera) -> np.ndarray:
         """Return the irradiance [H,W] uint8 of the surface in a camera's image, encoded as `View.irradiance`.
@@ -56,7 +56,7 @@ class Lighting:
             return np.full(light.shape, 255, np.uint8)
         nearest = distance_transform_edt(seen == 0, return_distances=False, return_indices=True)
         mean = (light / np.maximum(seen, 1))[tuple(nearest)]
-        return to_uint8(255 * np.clip(mean, DIMMEST, 1) ** (1 / GAMMA))
+        return to_uint8(255 * np.clip(mean, self.options.dimmest, 1) ** (1 / GAMMA))
 
     def falling_on(self, camera: Camera, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Return the irradiance [P] of points [P,3] near the surface, in a camera's photograph.
@@ -96,7 +96,8 @@ class Lighting:
 
         Each comes with the pixel coordinates [H,n,W,n,2] of n x n rays in each of its H x W pixels.
         """
-        size, fine = (camera.width, camera.height), max(1, round(RAYS / max(camera.width, camera.height)))
+        size, rays = (camera.width, camera.height), self.options.rays
+        fine = max(1, round(rays / max(camera.width, camera.height)))
         places, depths = camera.project(self.mesh.vertices)
         first, last = np.zeros(2, np.intp), np.array(size)
         if (depths > 0).all():

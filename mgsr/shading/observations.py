@@ -8,14 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from mgsr.config.expert import ObservationOptions
 from mgsr.data.camera import Camera
 from mgsr.data.photograph import Photograph
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
-
-MIN_COS = 0.25  # least cosine between normal and view direction
-KEPT = 24  # most observations of a point, the most frontal ones
 
 
 @dataclass(frozen=True)
@@ -54,24 +52,25 @@ def observe_photographs(
     gap: float,
     threads: int | None = None,
     lamps: np.ndarray | None = None,
+    options: ObservationOptions = ObservationOptions(),
 ) -> Observations:
     """Sample the photographs' brightness at the vertices of a mesh.
 
     gap: the largest depth of a vertex behind the mesh, in the scene's unit. lamps [N,3]: the lamp's position for each
-    photograph, in the scene's frame; a vertex in its shadow counts as not visible. Each vertex keeps at most KEPT
-    observations, the most frontal ones.
+    photograph, in the scene's frame; a vertex in its shadow counts as not visible. Each vertex keeps at most
+    `options.count` observations, the most frontal ones.
     """
     count = len(mesh.vertices)
 
     def read(index: int) -> tuple[np.ndarray, ...]:
         lamp = None if lamps is None else lamps[index]
-        return *_read(mesh, photographs[index], lamp, gap), np.full(count, index)
+        return *_read(mesh, photographs[index], lamp, gap, options.min_cosine), np.full(count, index)
 
     parts = list(map_ahead(read, range(len(photographs)), threads))
     observations = Observations(*(np.stack(column, axis=1) for column in zip(*parts, strict=True)))
-    if len(photographs) <= KEPT:
+    if len(photographs) <= options.count:
         return observations
-    best = np.argpartition(observations.weights, -KEPT, axis=1)[:, -KEPT:]
+    best = np.argpartition(observations.weights, -options.count, axis=1)[:, -options.count :]
     rows = np.arange(count)[:, None]
     return Observations(*(array[rows, best] for array in _arrays(observations)))
 
@@ -119,11 +118,12 @@ def _arrays(observations: Observations) -> tuple[np.ndarray, ...]:
 
 
 def _read(
-    mesh: Mesh, photograph: Photograph, lamp: np.ndarray | None, gap: float
+    mesh: Mesh, photograph: Photograph, lamp: np.ndarray | None, gap: float, min_cosine: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Sample one photograph at a mesh's V vertices: directions [V,3], distances, brightness and weights [V] each.
 
     lamp [3]: the lamp's position in the scene's frame, or None. gap: the largest depth of a vertex behind the mesh.
+    min_cosine: the least cosine between normal and view direction.
     """
     caster, points, normals = mesh.caster, mesh.vertices, mesh.double_normals
     camera = photograph.camera
@@ -131,7 +131,7 @@ def _read(
     distances = np.linalg.norm(offsets, axis=1)
     view_directions = offsets / distances[:, None]
     cosines = (view_directions * normals).sum(1)
-    index = seen_frontal(caster, camera, points, normals, cosines > MIN_COS, gap, photograph.interior)
+    index = seen_frontal(caster, camera, points, normals, cosines > min_cosine, gap, photograph.interior)
     if lamp is not None:
         index = index[caster.reached(lamp, points[index] + normals[index] * gap, gap)]
     pixels, _ = camera.project(points[index])

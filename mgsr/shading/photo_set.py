@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from mgsr.config.expert import ObservationOptions
 from mgsr.data.camera import pixel_size
 from mgsr.data.photograph import Photograph
 from mgsr.data.scene import View, some_of
@@ -22,17 +23,18 @@ class PhotoSet:
     """The photographs of a capture.
 
     views: the training views. silhouettes: of their masks, at any size; empty without masks. threads: the cores to use;
-    None: all.
+    None: all. options: of the observations.
     """
 
     views: Sequence[View]
     silhouettes: Sequence[Silhouette] = ()
     threads: int | None = None
+    options: ObservationOptions = ObservationOptions()
 
     @cached_property
     def photographs(self) -> list[Photograph]:
         """Return the views as photographs, which share their derived images among all steps of a refinement."""
-        return [Photograph(view) for view in self.views]
+        return [Photograph(view, self.options.min_alpha, self.options.clipped) for view in self.views]
 
     @cached_property
     def contours(self) -> list[SilhouetteContour]:
@@ -45,7 +47,7 @@ class PhotoSet:
 
     def observer(self, pixel: float) -> Observer:
         """Return an observer of meshes on which a pixel has the size `pixel`, in the scene's unit."""
-        return Observer(some_of(self.photographs), pixel, self.threads)
+        return Observer(some_of(self.photographs), pixel, self.threads, self.options)
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,8 @@ class Observer:
     photographs: Sequence[Photograph]
     pixel: float
     threads: int | None
+    options: ObservationOptions = ObservationOptions()
 
     def observe(self, mesh: Mesh, lamps: np.ndarray | None = None) -> Observations:
         """Sample the photographs at a mesh's vertices. lamps [N,3]: as for `observe_photographs`."""
-        return observe_photographs(mesh, self.photographs, self.pixel, self.threads, lamps)
+        return observe_photographs(mesh, self.photographs, self.pixel, self.threads, lamps, self.options)

@@ -14,10 +14,10 @@ inwards: by 0.3% of the radius from the ground truth of a painted cow.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
+from mgsr.config.expert import PhotometricOptions
 from mgsr.data.scene import some_of
 from mgsr.geometry.contours import contour_gaps
 from mgsr.geometry.decimate import coarser
@@ -26,23 +26,6 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.shading.details import Details, KnownLight, ObservedMesh, centered, choose_mix, mix_channels, read_details
 from mgsr.shading.light_models import LightModel
 from mgsr.shading.photo_set import PhotoSet
-
-
-@dataclass(frozen=True)
-class PhotometricOptions:
-    """Settings of the photometric refinement; pixels are those of the photographs on the surface."""
-
-    edge: float = 1.5  # pixels; edge length of the mesh at whose vertices the photographs are sampled
-    coarse_edge: float = 4.0  # pixels; edge length of the mesh that carries the smooth displacements
-    rounds: int = 3  # of sampling the photographs and moving the vertices
-    limit: float = 1.0  # pixels; largest move of a vertex in a round
-    noise_reach: float = 3.0  # pixels over which the residual variance is averaged
-    outlier: float = 3.0  # deviations at which an observation counts half
-    mix_views: int = 16  # most photographs for the choice of the channel mix
-    mirrored: float = 0.25  # times the noise; mirrored detail of this size halves an observation's weight
-    precision: float = 0.3  # pixels; standard deviation of a displacement that has weight 1 in the thin plate
-    contour_precision: float = 0.1  # pixels; standard deviation of a mask's contour
-    prior_weight: float = 1e-4  # of a displacement of 0, for vertices without observations
 
 
 def refine_photometrically(
@@ -61,18 +44,19 @@ def refine_photometrically(
     """
     pixel = photos.pixel_on(mesh)
     light = KnownLight.known_by(light_model, mesh)
-    start = coarser(mesh, options.edge * pixel)
+    start = coarser(mesh, options.edge * pixel, options.max_faces)
     few = some_of(photos.photographs, options.mix_views)
-    mix = choose_mix(ObservedMesh(start, pixel), few, light, photos.threads)
-    mixes = mix_channels(some_of(photos.photographs), mix, photos.threads)
-    plate = _plate(start.vertices, coarser(start, options.coarse_edge * pixel), reach * pixel)
+    mix = choose_mix(ObservedMesh(start, pixel, options.details), few, light, photos.threads)
+    mixes = mix_channels(some_of(photos.photographs), mix, photos.threads, options.details)
+    coarse = coarser(start, options.coarse_edge * pixel, options.max_faces)
+    plate = _plate(start.vertices, coarse, reach * pixel)
     moved = start
     for _ in range(options.rounds):
         if not go_on():
             break
-        surface = ObservedMesh(moved, pixel)
+        surface = ObservedMesh(moved, pixel, options.details)
         target, weights = _registered(read_details(surface, mixes, light, photos.threads), surface, options)
-        gaps, touched = contour_gaps(moved.with_normals(moved.double_normals), photos.contours)
+        gaps, touched = contour_gaps(moved.with_normals(moved.double_normals), photos.contours, options.contours)
         held = np.minimum(touched, 1) * (options.precision / options.contour_precision) ** 2
         total = weights + held + options.prior_weight
         moves = np.clip(plate((weights * target + held * gaps / pixel) / total, total), -options.limit, options.limit)

@@ -7,28 +7,17 @@ the surface, for example into a hole that it covers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from mgsr.config.expert import ResidualOptions
 from mgsr.data.scene import some_of
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import map_ahead
-from mgsr.shading.details import GREY, MIN_OBSERVATIONS, ChannelMix, KnownLight, ObservedMesh, mix_channels, sample_view
+from mgsr.shading.details import GREY, ChannelMix, KnownLight, ObservedMesh, mix_channels, sample_view
 from mgsr.shading.light_models import LightModel
 from mgsr.shading.observations import read_image
 from mgsr.shading.photo_set import PhotoSet
-
-
-@dataclass(frozen=True)
-class ResidualOptions:
-    """Settings of the photometric residual."""
-
-    edge: float = 1.5  # pixels; edge length of the mesh at whose vertices the photographs are sampled
-    surface_error: float = 0.7  # pixels; tolerated position error of the surface
-    averaged: float = 3.0  # pixels over which the residual is averaged
-    forgiven: float = 6.0  # times the median over the surface; residuals below this are noise and gloss
 
 
 def photometric_residual(
@@ -44,13 +33,13 @@ def photometric_residual(
     """
     pixel, threads = photos.pixel_on(mesh), photos.threads
     light = KnownLight.known_by(light_model, mesh)
-    coarse = coarser(mesh, options.edge * pixel)
-    surface = ObservedMesh(coarse, pixel)
-    mixes = mix_channels(some_of(photos.photographs), GREY, threads)
+    coarse = coarser(mesh, options.edge * pixel, options.max_faces)
+    surface = ObservedMesh(coarse, pixel, options.details)
+    mixes = mix_channels(some_of(photos.photographs), GREY, threads, options.details)
     columns = list(map_ahead(lambda mix: _column(surface, mix, light), mixes, threads))
     values, slopes = (np.stack(each, axis=1) for each in zip(*columns, strict=True))
     apart = np.maximum(np.abs(values - _median(values)[:, None]) - options.surface_error * slopes, 0)
-    told = np.isfinite(values).sum(axis=1) >= MIN_OBSERVATIONS
+    told = np.isfinite(values).sum(axis=1) >= options.details.min_observations
     if not told.any():
         return np.zeros(len(mesh.vertices))
     differing = np.where(told, _median(apart), 0)

@@ -15,13 +15,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from mgsr.config.expert import FlashOptions
 from mgsr.data.photograph import Photograph
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import PixelHits, RayCaster
 from mgsr.parallel import map_ahead
 from mgsr.shading.observations import Observations, read_image
-
-RAYS = 2  # along a pixel's side
 
 
 def deconvolve(
@@ -30,11 +29,12 @@ def deconvolve(
     photographs: Sequence[Photograph],
     shown: Callable[[int, np.ndarray], np.ndarray],
     threads: int | None = None,
+    rays: int = FlashOptions().footprint_rays,
 ) -> Observations:
     """Return the observations of a mesh's vertices, corrected for the blur of the pixels' footprints.
 
     shown: a function of a photograph's index and vertex indices [P]. It returns the modelled brightness [P] of these
-    vertices in that photograph, as single points, in linear light.
+    vertices in that photograph, as single points, in linear light. rays: along a pixel's side.
     """
     vertices, faces, caster = mesh.vertices, mesh.faces, mesh.caster
     brightness = observations.brightness.copy()
@@ -43,7 +43,7 @@ def deconvolve(
         photograph = photographs[number]
         read, columns = np.nonzero((observations.photographs == number) & (observations.weights > 0))
         pixels, _ = photograph.camera.project(vertices[read])
-        hits = _cast(caster, photograph)
+        hits = _cast(caster, photograph, rays)
         needed = np.unique(np.concatenate([faces[hits.face[hits.mask]].ravel(), read]))
         points = np.zeros(len(vertices), np.float32)
         points[needed] = shown(number, needed)
@@ -54,11 +54,11 @@ def deconvolve(
     return replace(observations, brightness=brightness)
 
 
-def _cast(caster: RayCaster, photograph: Photograph) -> PixelHits:
-    """Cast RAYS x RAYS rays through each of a photograph's U usable pixels; return the hits [U,RAYS,RAYS]."""
+def _cast(caster: RayCaster, photograph: Photograph, rays: int) -> PixelHits:
+    """Cast n x n rays, n = `rays`, through each of a photograph's U usable pixels; return the hits [U,n,n]."""
     rows, columns = np.nonzero(photograph.usable)
-    inside = (np.arange(RAYS) + 0.5) / RAYS
-    pixels = np.empty((len(rows), RAYS, RAYS, 2))
+    inside = (np.arange(rays) + 0.5) / rays
+    pixels = np.empty((len(rows), rays, rays, 2))
     pixels[..., 0], pixels[..., 1] = columns[:, None, None] + inside, rows[:, None, None] + inside[:, None]
     return caster.cast_pixels(photograph.camera, pixels)
 
@@ -68,7 +68,7 @@ def _through_pixels(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Render the brightness of vertices through the usable pixels: return an image [H,W] and its coverage [H,W].
 
-    hits [U,RAYS,RAYS]: of the usable pixels' rays. faces [F,3]: vertex indices. points [V]: the vertices' brightness.
+    hits [U,n,n]: of the usable pixels' rays. faces [F,3]: vertex indices. points [V]: the vertices' brightness.
     usable [H,W] bool. The coverage is 1 where a ray hits a face; elsewhere both are 0.
     """
     met = hits.mask

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from mgsr.config.expert import BilateralOptions, ContourSearchOptions, ShadingOptions, ShadingPass
 from mgsr.geometry.bilateral_filter import bilateral_normal_filter
 from mgsr.geometry.contours import SilhouetteContour, contour_gaps
 from mgsr.geometry.decimate import coarser
@@ -20,29 +21,6 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.shading.light_estimate import LightEstimate, LightKind
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.shading.target_normals import TargetNormals
-
-
-@dataclass(frozen=True)
-class ShadingOptions:
-    """Weights of positions in the integration of normals; pixels are those on the surface."""
-
-    contour_weight: float = 10.0  # of a contour's displacement at a vertex that it touches
-    prior_weight: float = 0.05  # of a displacement of 0 at every vertex
-    contour_smoothing: float = 1.5  # pixels over which the contours' displacements are smoothed
-
-
-@dataclass(frozen=True)
-class ShadingPass:
-    """Rounds of estimating target normals and fitting the surface to them.
-
-    edge: the mesh's edge length, in pixels. reach: the wavelength, in pixels, above which shape stays unless contours
-    move it. fairing: the angle, in degrees, of the `bilateral_normal_filter` before and after the rounds; 0: none.
-    """
-
-    edge: float
-    rounds: int
-    reach: float
-    fairing: float = 0.0
 
 
 def shape_from_shading(
@@ -66,9 +44,9 @@ def shape_from_shading(
     pixel, chosen, done = photos.pixel_on(mesh), passes.get(estimate.kind, ()), 0
     rounds = sum(each.rounds for each in chosen)
     for each in chosen:
-        mesh = _fair(mesh, each.fairing)
-        before = coarser(mesh, each.edge * pixel)
-        fine = _FineMesh(mesh, before, before.prolongation(mesh.vertices), photos.contours)
+        mesh = _fair(mesh, each.fairing, options.fairing)
+        before = coarser(mesh, each.edge * pixel, options.max_faces)
+        fine = _FineMesh(mesh, before, before.prolongation(mesh.vertices), photos.contours, options.contours)
         after = before
         for _ in range(each.rounds):
             if not go_on():
@@ -76,7 +54,7 @@ def shape_from_shading(
             after = _bend(after, fine, estimate.model.explain(after), each.reach * pixel, pixel, options)
             done += 1
             progress(done / rounds)
-        mesh = _fair(fine.moved_with(after), each.fairing)
+        mesh = _fair(fine.moved_with(after), each.fairing, options.fairing)
     return mesh
 
 
@@ -85,13 +63,15 @@ class _FineMesh:
     """The full mesh that follows a coarse one, and the masks' contours that hold it.
 
     mesh, before: the full and the coarse mesh before any moves. prolongation [W,V]: from the coarse mesh's V vertices
-    to the full mesh's W. contours: they are compared with the full mesh, as the coarse one cuts corners.
+    to the full mesh's W. contours: they are compared with the full mesh, as the coarse one cuts corners. search:
+    the options of that comparison.
     """
 
     mesh: Mesh
     before: Mesh
     prolongation: sparse.csr_matrix
     contours: Sequence[SilhouetteContour]
+    search: ContourSearchOptions
 
     def moved_with(self, after: Mesh) -> Mesh:
         """Return the full mesh after the coarse one has moved to `after`."""
@@ -99,7 +79,7 @@ class _FineMesh:
 
     def gaps(self, after: Mesh) -> tuple[np.ndarray, np.ndarray]:
         """Return both arrays [V] of `contour_gaps` for the coarse mesh's vertices after it has moved to `after`."""
-        gaps, touched = contour_gaps(self.moved_with(after), self.contours)
+        gaps, touched = contour_gaps(self.moved_with(after), self.contours, self.search)
         sums, counts = self.prolongation.T @ (gaps * touched), self.prolongation.T @ touched
         return sums / np.maximum(counts, 1e-9), counts
 
@@ -126,8 +106,8 @@ def _bend(
     return mesh.moved(mesh.vertices + moves[:, None] * mesh.double_normals)
 
 
-def _fair(mesh: Mesh, angle: float) -> Mesh:
-    return bilateral_normal_filter(mesh, angle) if angle else mesh
+def _fair(mesh: Mesh, angle: float, options: BilateralOptions) -> Mesh:
+    return bilateral_normal_filter(mesh, angle, options) if angle else mesh
 
 
 def _mean_around(values: np.ndarray, weights: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:

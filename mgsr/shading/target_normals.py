@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MIN_OBSERVATIONS = 5  # least number of photographs that see a point; with fewer, its confidence is 0
-
 
 @dataclass(frozen=True)
 class TargetNormals:

@@ -13,48 +13,43 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mgsr.config.expert import BackgroundPointOptions
 from mgsr.data.loading import reduced_view
 from mgsr.data.scene import PointCloud, View
 from mgsr.data.valid_mask import valid_at
 
-DIRECTIONS = 6000  # spread evenly over the sphere; 2.6 degrees apart
-NEAREST, FARTHEST, LEVELS = 1.5, 40.0, 24  # ball radii from the scene's centre; the distances, even in their inverse
-SIDE = 40  # pixels; longer side of the reduced photographs, enough for plain surfaces
-VIEWS = 100  # most photographs to compare
-SEEN = 3  # least number of photographs that must show a place
-NOISE, MOST = 0.02, 0.15  # sRGB 0..1; colour deviation of noise, and the limit of all deviations
-ALIKE, STEP = 24, 2.0  # neighbouring directions; levels off their mean that cost as much as a deviation of NOISE
-ROUNDS = 40  # of iterated conditional modes
 
-
-def background_points(views: Sequence[View], found: np.ndarray) -> PointCloud:
+def background_points(
+    views: Sequence[View], found: np.ndarray, options: BackgroundPointOptions = BackgroundPointOptions()
+) -> PointCloud:
     """Return background points in the directions where photographs show none of the found points; maybe none.
 
     found [P,3]: in the scene's frame, as are the new points.
     """
-    reduced = [_background(view, found) for view in views[:: -(-len(views) // VIEWS)]]
-    directions = _directions(DIRECTIONS)
-    inverse = np.linspace(1 / FARTHEST, 1 / NEAREST, LEVELS)
+    reduced = [_background(view, found, options.side) for view in views[:: -(-len(views) // options.views)]]
+    directions = _directions(options.directions)
+    inverse, levels = np.linspace(1 / options.farthest, 1 / options.nearest, options.levels), np.arange(options.levels)
     tried = [_agreement(reduced, directions / each) for each in inverse]
     disagreement, colors, count = (np.stack(each, axis=1) for each in zip(*tried, strict=True))
-    told = count >= SEEN
+    told = count >= options.seen
     kept = told.mean(axis=1) > 0.5
-    if kept.sum() <= ALIKE:
+    if kept.sum() <= options.neighbours:
         return PointCloud(np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
     directions, disagreement, colors, told = (each[kept] for each in (directions, disagreement, colors, told))
     # A neutral cost where too few photographs show a place, so that the neighbours decide.
-    disagreement = np.where(told, np.minimum(disagreement, MOST), np.median(disagreement[told]))
-    level, smooth = _smooth_levels(disagreement, cKDTree(directions).query(directions, k=ALIKE + 1)[1][:, 1:])
-    distance = 1 / np.interp(smooth, np.arange(LEVELS), inverse)
+    disagreement = np.where(told, np.minimum(disagreement, options.most), np.median(disagreement[told]))
+    neighbours = cKDTree(directions).query(directions, k=options.neighbours + 1)[1][:, 1:]
+    level, smooth = _smooth_levels(disagreement, neighbours, options)
+    distance = 1 / np.interp(smooth, levels, inverse)
     # The colour comes from the nearest level that enough photographs show.
-    shown = np.where(told, np.abs(np.arange(LEVELS) - level[:, None]), LEVELS).argmin(axis=1)
+    shown = np.where(told, np.abs(levels - level[:, None]), len(levels)).argmin(axis=1)
     color = (255 * colors[np.arange(len(shown)), shown]).round().clip(0, 255).astype(np.uint8)
     return PointCloud(directions * distance[:, None], color)
 
 
-def _background(view: View, found: np.ndarray) -> View:
+def _background(view: View, found: np.ndarray, side: int) -> View:
     """Reduce a photograph, and leave valid only the pixels that show none of the found points [P,3]."""
-    small = reduced_view(view, min(1.0, SIDE / max(view.camera.width, view.camera.height)))
+    small = reduced_view(view, min(1.0, side / max(view.camera.width, view.camera.height)))
     free = np.ones(small.image.shape[:2], bool) if small.valid_mask is None else small.valid_mask.copy()
     _, pixels, _ = small.camera.project_inside(found)
     columns, rows = pixels.astype(np.intp).T
@@ -92,16 +87,18 @@ def _agreement(reduced: Sequence[View], places: np.ndarray) -> tuple[np.ndarray,
     return np.sqrt(variance.sum(axis=1)), mean, count
 
 
-def _smooth_levels(disagreement: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _smooth_levels(
+    disagreement: np.ndarray, neighbours: np.ndarray, options: BackgroundPointOptions
+) -> tuple[np.ndarray, np.ndarray]:
     """Choose a distance level for each of D directions, with low disagreement and close to its neighbours' levels.
 
     disagreement [D,L]: sRGB 0..1, for each of L levels. neighbours [D,k]: the indices of neighbouring directions.
     Returns the levels [D], and smooth levels [D] that average each with its neighbours' mean.
     """
-    cost = (disagreement + disagreement[neighbours].mean(axis=1)) / (2 * NOISE)
+    cost = (disagreement + disagreement[neighbours].mean(axis=1)) / (2 * options.noise)
     levels = np.arange(cost.shape[1])
     level = cost.argmin(axis=1)
-    for _ in range(ROUNDS):
+    for _ in range(options.rounds):
         beside = level[neighbours].mean(axis=1)
-        level = (cost + np.square((levels - beside[:, None]) / STEP)).argmin(axis=1)
+        level = (cost + np.square((levels - beside[:, None]) / options.step)).argmin(axis=1)
     return level, (level + level[neighbours].mean(axis=1)) / 2

@@ -10,14 +10,12 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-EDGE = 0.03  # sRGB 0..1; difference of neighbouring pixels that counts as an edge
-EDGE_SMOOTHNESS = 1e-6  # cost of bending across an edge, relative to 1 elsewhere
-DATA_WEIGHT = 10.0  # of the found depths, relative to the bending
-CONFIDENCE_LOSS = 2e-3  # leak of the diffused confidence at each pixel: it falls to 1/e over about twenty pixels
-MIN_CONFIDENCE = 0.8  # least confidence of a filled depth
+from mgsr.config.expert import DepthFillingOptions
 
 
-def fill_depth(inverse: np.ndarray, image: np.ndarray) -> np.ndarray:
+def fill_depth(
+    inverse: np.ndarray, image: np.ndarray, options: DepthFillingOptions = DepthFillingOptions()
+) -> np.ndarray:
     """Fill the gaps in a view's inverse depth map, and return the filled inverse depths [h,w].
 
     inverse [h,w]: 1 / camera z, 0 in the gaps. image [h,w,3]: the view's, sRGB 0..255. The result is NaN where all
@@ -26,23 +24,23 @@ def fill_depth(inverse: np.ndarray, image: np.ndarray) -> np.ndarray:
     found = inverse > 0
     if found.sum() < 3:
         return np.where(found, inverse, np.nan)
-    along_x, along_y = _smoothness(image / 255.0, 1), _smoothness(image / 255.0, 0)
-    confidence = _confidence(found, along_x, along_y)
-    held = sparse.diags(DATA_WEIGHT * found.ravel().astype(float))
+    along_x, along_y = (_smoothness(image / 255.0, axis, options) for axis in (1, 0))
+    confidence, weight = _confidence(found, along_x, along_y, options), options.data_weight
+    held = sparse.diags(weight * found.ravel().astype(float))
     bending = _bending(along_x, 1) + _bending(along_y, 0)
     system = (held + bending + 1e-9 * sparse.eye(found.size)).tocsc()
-    filled = splu(system).solve(DATA_WEIGHT * np.where(found, inverse, 0).ravel()).reshape(found.shape)
-    return np.where(found, inverse, np.where((confidence > MIN_CONFIDENCE) & (filled > 0), filled, np.nan))
+    filled = splu(system).solve(weight * np.where(found, inverse, 0).ravel()).reshape(found.shape)
+    return np.where(found, inverse, np.where((confidence > options.min_confidence) & (filled > 0), filled, np.nan))
 
 
-def _smoothness(image: np.ndarray, axis: int) -> np.ndarray:
+def _smoothness(image: np.ndarray, axis: int, options: DepthFillingOptions) -> np.ndarray:
     """Return the smoothness of an image [h,w,3] between each pixel and the next along an axis.
 
-    image: sRGB 0..1. axis: 0 or 1. The result is [h-1,w] or [h,w-1]: 1 between equal colours, and EDGE_SMOOTHNESS
-    across an edge.
+    image: sRGB 0..1. axis: 0 or 1. The result is [h-1,w] or [h,w-1]: 1 between equal colours, and
+    `options.edge_smoothness` across an edge.
     """
     change = np.abs(np.diff(image, axis=axis)).max(axis=2)
-    links: np.ndarray = np.maximum(np.exp(-((change / EDGE) ** 2)), EDGE_SMOOTHNESS)
+    links: np.ndarray = np.maximum(np.exp(-((change / options.edge) ** 2)), options.edge_smoothness)
     return links
 
 
@@ -59,17 +57,20 @@ def _bending(smooth: np.ndarray, axis: int) -> sparse.csc_matrix:
     return _gram(parts, weights, index.size)
 
 
-def _confidence(found: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> np.ndarray:
+def _confidence(
+    found: np.ndarray, along_x: np.ndarray, along_y: np.ndarray, options: DepthFillingOptions
+) -> np.ndarray:
     """Return the confidence [h,w] of filled depths: about 1 at found depths, falling with distance and across edges.
 
     found [h,w] bool: where depth was found. along_x [h,w-1], along_y [h-1,w]: the image's smoothness.
     """
-    form = CONFIDENCE_LOSS * sparse.eye(found.size) + sparse.diags(DATA_WEIGHT * found.ravel().astype(float))
+    weight = options.data_weight
+    form = options.confidence_loss * sparse.eye(found.size) + sparse.diags(weight * found.ravel().astype(float))
     for smooth, axis in ((along_x, 1), (along_y, 0)):
         index = np.moveaxis(_pixels(smooth, axis), axis, -1)
         parts = [(index[..., :-1], 1.0), (index[..., 1:], -1.0)]
         form = form + _gram(parts, np.moveaxis(smooth, axis, -1), index.size)
-    trust: np.ndarray = splu(form.tocsc()).solve(DATA_WEIGHT * found.ravel().astype(float)).reshape(found.shape)
+    trust: np.ndarray = splu(form.tocsc()).solve(weight * found.ravel().astype(float)).reshape(found.shape)
     return trust
 
 

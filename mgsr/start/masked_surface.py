@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsr.config import ExpertConfig
+from mgsr.config.expert import FirstSurfaceOptions, ShadingPass
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.hull import Hull, hull_surface
 from mgsr.data.scene import View
@@ -21,38 +23,14 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
 from mgsr.shading.environment_residual import EnvironmentResidual, environment_residuals
-from mgsr.shading.light_estimate import MAX_ENVIRONMENT_RATIO, LightEstimate, LightKind, estimate_light
+from mgsr.shading.light_estimate import LightEstimate, LightKind, estimate_light
 from mgsr.shading.lighting import Lighting
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.shading.photometric_refinement import refine_photometrically
-from mgsr.shading.shape_from_shading import ShadingPass, shape_from_shading
+from mgsr.shading.shape_from_shading import shape_from_shading
 from mgsr.stereo.fusion import fuse, fuse_roughly
 from mgsr.stereo.patch_match import DepthMap, match_views, weigh, weigh_gaps
 from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
-
-# The surface is a mirror if the hull's residual under an environment map is at most this share of stereo's residual.
-CLEARLY = 0.9
-# The large shape of a hull is wrong too, so shading may change larger shape than on a trained surface. Deep concavities
-# need many rounds. An environment map hardly constrains a hull's steps, which fairing removes between the rounds. It
-# constrains the small shape better once photometric refinement has corrected the large shape.
-FAR_PASSES = {
-    LightKind.FLASH: (ShadingPass(edge=2.0, rounds=6, reach=160.0), ShadingPass(edge=1.5, rounds=3, reach=60.0)),
-    LightKind.ENVIRONMENT: (
-        *[ShadingPass(edge=4.0, rounds=2, reach=240.0, fairing=17.0)] * 3,
-        ShadingPass(edge=3.0, rounds=2, reach=240.0, fairing=17.0),
-        ShadingPass(edge=2.0, rounds=2, reach=120.0, fairing=17.0),
-    ),
-}
-NEAR_PASSES = {LightKind.ENVIRONMENT: (ShadingPass(edge=1.5, rounds=2, reach=60.0, fairing=17.0),)}
-
-# Octaves by which the residual of stereo's surface may exceed the hull's before its depths lose all weight.
-DISBELIEVED = 0.3
-
-# Scale of the photographs' sides for the coarser stereo.
-HALF = 0.5
-
-# Pixels over which a displacement of the photometric refinement spreads.
-PHOTOMETRIC_REACH = 12.0
 
 # Progress at the end of each part, measured as shares of the time on 48 views of 256 x 256 pixels.
 HALVES_MATCHED, MATCHED, FUSED, FAR_SHADED, NEAR_BEGUN, NEAR_SHADED = 0.1, 0.4, 0.6, 0.83, 0.87, 0.92
@@ -77,23 +55,30 @@ def find_surface(
     hull: Hull,
     seed: int,
     progress: Callable[[float], None] = lambda done: None,
+    expert: ExpertConfig = ExpertConfig(),
 ) -> MaskedSurface:
     """Find the surface of the masked object inside its visual hull. The same seed gives the same surface.
 
-    progress: receives the share of the work that is done, 0..1. Raises SceneError if the hull is empty.
+    progress: receives the share of the work that is done, 0..1. expert: the options of all algorithms.
+
+    Raises SceneError if the hull is empty.
     """
-    photos = PhotoSet(views, silhouettes)
-    mesh = _likelier_surface(photos, hull, seed, progress)
+    photos = PhotoSet(views, silhouettes, options=expert.shading.observations)
+    passes, last = _far_passes(expert.start.surface), _near_passes(expert.start.surface)
+    mesh = _likelier_surface(photos, hull, seed, progress, expert)
     progress(FUSED)
-    mesh, estimate = _refined(mesh, photos, LightEstimate(), FAR_PASSES, _between(progress, FUSED, FAR_SHADED))
-    if estimate.kind in NEAR_PASSES:
-        mesh, estimate = _refined(mesh, photos, estimate, NEAR_PASSES, _between(progress, NEAR_BEGUN, NEAR_SHADED))
+    far, near = _between(progress, FUSED, FAR_SHADED), _between(progress, NEAR_BEGUN, NEAR_SHADED)
+    mesh, estimate = _refined(mesh, photos, LightEstimate(), passes, far, expert)
+    if estimate.kind in last:
+        mesh, estimate = _refined(mesh, photos, estimate, last, near, expert)
     progress(1.0)
     lighting = None if estimate.model is None else estimate.model.lighting(mesh)
     return MaskedSurface(mesh, estimate.kind, lighting)
 
 
-def _likelier_surface(photos: PhotoSet, hull: Hull, seed: int, progress: Callable[[float], None]) -> Mesh:
+def _likelier_surface(
+    photos: PhotoSet, hull: Hull, seed: int, progress: Callable[[float], None], expert: ExpertConfig
+) -> Mesh:
     """Return the hull's surface if the photographs speak clearly for it, else the surface that stereo finds.
 
     The hull wins if a mirrored environment map explains the photographs on it. Otherwise stereo's depths are fused, and
@@ -101,17 +86,33 @@ def _likelier_surface(photos: PhotoSet, hull: Hull, seed: int, progress: Callabl
     and stereo cannot distinguish the two.
     """
     outer = Mesh(*hull_surface(hull))
-    seen = _matched(stereo_photographs(photos.views), outer.caster, seed, progress)
-    inner = fuse_roughly(seen.cameras, seen.maps, seen.weights, hull, seen.pixel)
+    prepared, fusion = stereo_photographs(photos.views, expert.stereo.max_object_pixels), expert.stereo.fusion
+    seen = _matched(prepared, outer.caster, seed, progress, expert)
+    inner = fuse_roughly(seen.cameras, seen.maps, seen.weights, hull, seen.pixel, fusion)
     if not len(inner.faces):
         return outer
-    on_outer, on_inner = environment_residuals((outer, inner), photos)
-    if on_outer.ratio <= MAX_ENVIRONMENT_RATIO and on_outer.ratio <= CLEARLY * on_inner.ratio:
+    light, options = expert.shading.light, expert.start.surface
+    on_outer, on_inner = environment_residuals((outer, inner), photos, light.environment)
+    if on_outer.ratio <= light.max_environment_ratio and on_outer.ratio <= options.mirror_share * on_inner.ratio:
         return outer
-    believed = map_ahead(lambda camera: _believed(camera, on_outer, on_inner), seen.cameras, None)
+    believed = map_ahead(lambda camera: _believed(camera, on_outer, on_inner, options.disbelieved), seen.cameras, None)
     weights = [weight * share for weight, share in zip(seen.weights, believed, strict=True)]
-    fused = fuse(seen.cameras, seen.maps, weights, hull, seen.pixel)
+    fused = fuse(seen.cameras, seen.maps, weights, hull, seen.pixel, fusion)
     return fused if len(fused.faces) else outer
+
+
+def _far_passes(options: FirstSurfaceOptions) -> Mapping[LightKind, Sequence[ShadingPass]]:
+    """Return the passes on the surface that stereo or the hull give."""
+    coarse = [options.environment_coarse] * options.environment_repeats
+    return {
+        LightKind.FLASH: (options.flash_coarse, options.flash_fine),
+        LightKind.ENVIRONMENT: (*coarse, options.environment_medium, options.environment_fine),
+    }
+
+
+def _near_passes(options: FirstSurfaceOptions) -> Mapping[LightKind, Sequence[ShadingPass]]:
+    """Return the passes on the surface that photometric refinement has corrected."""
+    return {LightKind.ENVIRONMENT: (options.environment_last,)}
 
 
 @dataclass(frozen=True)
@@ -129,31 +130,35 @@ class _Matched:
 
 
 def _matched(
-    photographs: StereoPhotographs, start: RayCaster, seed: int, progress: Callable[[float], None]
+    photographs: StereoPhotographs,
+    start: RayCaster,
+    seed: int,
+    progress: Callable[[float], None],
+    expert: ExpertConfig,
 ) -> _Matched:
     """Match the photographs at full and at half size; the coarser maps fill the finer ones' gaps.
 
     start: the surface on which the search begins.
     """
-    halves = photographs.reduced(HALF)
-    coarse = match_views(halves, start, seed, progress=_between(progress, 0, HALVES_MATCHED))
-    fine = match_views(photographs, start, seed, progress=_between(progress, HALVES_MATCHED, MATCHED))
-    weights = weigh(photographs, fine)
-    weights += weigh_gaps(weigh(halves, coarse), weights)
+    halves, options = photographs.reduced(expert.start.surface.coarse_scale), expert.stereo
+    coarse = match_views(halves, start, seed, options.match, _between(progress, 0, HALVES_MATCHED))
+    fine = match_views(photographs, start, seed, options.match, _between(progress, HALVES_MATCHED, MATCHED))
+    weights = weigh(photographs, fine, options.consistency)
+    weights += weigh_gaps(weigh(halves, coarse, options.consistency), weights)
     pixel = pixel_size(photographs.cameras, np.zeros(3))
     return _Matched(photographs.cameras + halves.cameras, fine + coarse, weights, pixel)
 
 
-def _believed(camera: Camera, outer: EnvironmentResidual, inner: EnvironmentResidual) -> np.ndarray:
+def _believed(camera: Camera, outer: EnvironmentResidual, inner: EnvironmentResidual, disbelieved: float) -> np.ndarray:
     """Return the confidence [H,W] 0..1 in each pixel of stereo's surface.
 
     It falls as the residual of stereo's surface, `inner`, exceeds that of the hull, `outer`. It is 1 where either
-    residual is unknown.
+    residual is unknown. disbelieved: octaves of excess at which it is 0.
     """
     residual, before = inner.seen_by(camera), outer.seen_by(camera)
     known = (residual > 0) & (before > 0)
     octaves = np.log2(np.where(known, residual, 1) / np.where(known, before, 1)) / 2
-    return np.asarray(np.clip(1 - octaves / DISBELIEVED, 0, 1) ** 2, np.float32)
+    return np.asarray(np.clip(1 - octaves / disbelieved, 0, 1) ** 2, np.float32)
 
 
 def _refined(
@@ -162,11 +167,14 @@ def _refined(
     known: LightEstimate,
     passes: Mapping[LightKind, Sequence[ShadingPass]],
     progress: Callable[[float], None],
+    expert: ExpertConfig,
 ) -> tuple[Mesh, LightEstimate]:
     """Estimate the light on the mesh, then refine the mesh by shape from shading and photometrically."""
-    estimate = estimate_light(mesh, photos, MAX_ENVIRONMENT_RATIO, known)
-    mesh = shape_from_shading(mesh, photos, estimate, passes, progress)
-    return refine_photometrically(mesh, photos, PHOTOMETRIC_REACH, estimate.model), estimate
+    options, light, reach = expert.shading, expert.shading.light, expert.start.surface.photometric_reach
+    estimate = estimate_light(mesh, photos, light.max_environment_ratio, known, light)
+    mesh = shape_from_shading(mesh, photos, estimate, passes, progress, options=options.shape)
+    moved = refine_photometrically(mesh, photos, reach, estimate.model, options=options.photometric)
+    return moved, estimate
 
 
 def _between(progress: Callable[[float], None], begin: float, end: float) -> Callable[[float], None]:

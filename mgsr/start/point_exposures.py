@@ -11,23 +11,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mgsr.config.expert import PointExposureOptions
 from mgsr.data.images import srgb_to_linear
 from mgsr.data.scene import View
 from mgsr.start.view_colors import seen_pixels
 
-POINTS = 16000  # most points to use; they also occlude each other, and fewer leave gaps
-BEHIND = 0.05  # scene units behind others beyond which a point is hidden
-CELLS = 0.5  # side of the occlusion depth map, times the square root of the number of points
-DARK, CLIPPED = 8, 250  # of 255; darker or brighter pixels are not used
-FITTED = 4_000_000  # most observations in the fit, to bound its memory
-SHARED, ENOUGH = 3, 50  # least photographs that show a point, and least such points in a photograph
-ROUNDS = 15  # of reweighting
-PRIOR = 1e-3  # weight of the common exposure, as a share of a photograph's observations
-WIDTH = 0.5  # deviations of the residual at which an observation counts half
-
 
 def point_exposures(
-    train: Sequence[View], test: Sequence[View], positions: np.ndarray, normals: np.ndarray | None
+    train: Sequence[View],
+    test: Sequence[View],
+    positions: np.ndarray,
+    normals: np.ndarray | None,
+    options: PointExposureOptions = PointExposureOptions(),
 ) -> np.ndarray | None:
     """Estimate the exposures [V,3] of the training views and then the test views, as factors of linear light.
 
@@ -35,35 +30,37 @@ def point_exposures(
     face away from a view; None: unknown. The training views alone determine the points' radiance, and the geometric
     mean of their exposures is 1. Returns None if any view shows too few of the points.
     """
-    some = slice(None, None, max(1, -(-len(positions) // POINTS)))
-    seen = _log_light([*train, *test], positions[some], None if normals is None else normals[some])
-    shared = np.isfinite(seen[: len(train), :, 0]).sum(axis=0) >= SHARED
+    some = slice(None, None, max(1, -(-len(positions) // options.points)))
+    seen = _log_light([*train, *test], positions[some], None if normals is None else normals[some], options)
+    shared = np.isfinite(seen[: len(train), :, 0]).sum(axis=0) >= options.shared
     seen = seen[:, shared]
-    seen = seen[:, :: max(1, -(-seen.shape[0] * seen.shape[1] // FITTED))]
-    if (np.isfinite(seen[..., 0]).sum(axis=1) < ENOUGH).any():
+    seen = seen[:, :: max(1, -(-seen.shape[0] * seen.shape[1] // options.max_observations))]
+    if (np.isfinite(seen[..., 0]).sum(axis=1) < options.min_points).any():
         return None
-    fitted = [_fit(seen[..., channel], len(train)) for channel in range(3)]
+    fitted = [_fit(seen[..., channel], len(train), options) for channel in range(3)]
     exposures: np.ndarray = np.exp(np.stack(fitted, axis=1))
     return exposures
 
 
-def _log_light(views: Sequence[View], positions: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
+def _log_light(
+    views: Sequence[View], positions: np.ndarray, normals: np.ndarray | None, options: PointExposureOptions
+) -> np.ndarray:
     """Return the log of the linear light [V,P,3] that the views show of points [P,3]; NaN where unusable.
 
     normals [P,3]: unit, or None.
     """
     light = np.full((len(views), len(positions), 3), np.nan, np.float32)
     table = np.log(srgb_to_linear(np.arange(1, 256) / 255))
-    side = int(np.sqrt(len(positions)) * CELLS) + 1
+    side = int(np.sqrt(len(positions)) * options.cells) + 1
     for view, row in zip(views, light, strict=True):
-        index, rows, columns = seen_pixels(view, positions, normals, BEHIND, side)
+        index, rows, columns = seen_pixels(view, positions, normals, options.behind, side, options.min_cosine)
         values = view.image[rows, columns]
-        good = ((values >= DARK) & (values < CLIPPED)).all(axis=1)
+        good = ((values >= options.dark) & (values < options.clipped)).all(axis=1)
         row[index[good]] = table[values[good].astype(np.intp) - 1]
     return light
 
 
-def _fit(seen: np.ndarray, train: int) -> np.ndarray:
+def _fit(seen: np.ndarray, train: int, options: PointExposureOptions) -> np.ndarray:
     """Fit the log exposures [V] to one channel's log light [V,P]; NaN where a view does not show a point.
 
     The first `train` views alone determine the points' radiance.
@@ -72,19 +69,19 @@ def _fit(seen: np.ndarray, train: int) -> np.ndarray:
     seen = np.where(there, seen, 0.0).astype(np.float64)
     weight = there.astype(np.float64)
     exposure = np.zeros(len(seen))
-    for _ in range(ROUNDS):
+    for _ in range(options.rounds):
         of_points = weight[:train]
         total = np.maximum(of_points.sum(axis=0), 1e-12)
         # The points' radiance is eliminated from the normal equations.
         normal = np.diag(of_points.sum(axis=1)) - (of_points / total) @ of_points.T
         mean = (of_points * seen[:train]).sum(axis=0) / total
         right = (of_points * (seen[:train] - mean)).sum(axis=1)
-        exposure[:train] = np.linalg.solve(normal + PRIOR * np.diag(of_points.sum(axis=1)), right)
+        exposure[:train] = np.linalg.solve(normal + options.prior_weight * np.diag(of_points.sum(axis=1)), right)
         exposure[:train] -= exposure[:train].mean()
         own = (of_points * (seen[:train] - exposure[:train, None])).sum(axis=0) / total
         of_tests = weight[train:]
         exposure[train:] = (of_tests * (seen[train:] - own)).sum(axis=1) / np.maximum(of_tests.sum(axis=1), 1e-12)
         residual = seen - own - exposure[:, None]
         spread = max(1.4826 * float(np.median(np.abs(residual[:train][there[:train]]))), 1e-4)
-        weight = there / (1 + np.square(residual / (WIDTH * spread)))
+        weight = there / (1 + np.square(residual / (options.outlier * spread)))
     return exposure

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mgsr.config import Background
+from mgsr.config import Background, ExpertConfig
+from mgsr.config.expert import StartConfig, ViewColorOptions
 from mgsr.data.hull import carve, cut_at, hull_surface
 from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
@@ -20,26 +21,6 @@ from mgsr.start.plane_sweep import sweep_planes
 from mgsr.start.points import StartingPoints, StartSource
 from mgsr.start.view_colors import seen_colors
 
-RESOLUTION = 128
-
-# Longer side of the reduced masks, in pixels: about two pixels for each voxel of a grid of RESOLUTION voxels.
-MASK_SIDE = 400
-
-# If stereo finds fewer points than this, the start is a random ball.
-MIN_POINTS = 500
-
-# Largest share of an unmasked capture's points outside a ball of radius BALL, where no mesh is extracted.
-BACKGROUND, BALL = 0.25, 1.25
-
-# Largest share of all points that are background points.
-BACKGROUND_POINTS = 0.25
-
-# A point in the ball is wrong if its three neighbours are this many times farther away than the median there.
-MAX_SPACING = 8.0
-
-# Points with a larger coordinate than this, in ball radii, are wrong.
-MAX_DISTANCE = 50.0
-
 
 def starting_points(
     scene: Scene,
@@ -47,11 +28,12 @@ def starting_points(
     seed: int,
     progress: Callable[[float], None] = lambda done: None,
     background: Background = Background.AUTO,
+    expert: ExpertConfig = ExpertConfig(),
 ) -> StartingPoints:
     """Choose the points to start from; the same seed gives the same points.
 
     progress: receives the share of the work that is done, 0..1. background: the setting for the search for a plain
-    backdrop.
+    backdrop. expert: the options of all algorithms.
 
     With masks, `count` points lie evenly on the surface that stereo, shading and photometric refinement find inside the
     visual hull. That surface is more accurate than the capture's own points (COLMAP).
@@ -62,33 +44,39 @@ def starting_points(
     """
     generator = np.random.default_rng(seed)
     if scene.masked:
-        return _surface_points(scene, silhouettes(scene.train, MASK_SIDE), count, seed, generator, progress)
-    own = _own_points(scene.points) if scene.points is not None else None
-    return _unmasked_points(scene, own, count, seed, progress, background)
+        outlines = silhouettes(scene.train, expert.start.mask_side)
+        return _surface_points(scene, outlines, count, seed, generator, progress, expert)
+    own = _own_points(scene.points, expert.start.max_distance) if scene.points is not None else None
+    return _unmasked_points(scene, own, count, seed, progress, background, expert.start)
 
 
-def ball_points(views: Sequence[View], count: int, seed: int) -> StartingPoints:
+def ball_points(
+    views: Sequence[View], count: int, seed: int, options: ViewColorOptions = ViewColorOptions()
+) -> StartingPoints:
     """Draw `count` random points evenly in the unit ball, with the colours that the views show at them."""
     generator = np.random.default_rng(seed)
     directions = generator.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     positions = directions * np.cbrt(generator.random(count))[:, None]
-    return StartingPoints(positions, seen_colors(views, positions), StartSource.BALL)
+    return StartingPoints(positions, seen_colors(views, positions, options=options), StartSource.BALL)
 
 
-def hull_points(scene: Scene, count: int, seed: int, resolution: int) -> StartingPoints:
+def hull_points(
+    scene: Scene, count: int, seed: int, resolution: int, options: StartConfig = StartConfig()
+) -> StartingPoints:
     """Spread `count` points evenly over the surface of the visual hull of a scene with masks.
 
     resolution: voxels along a side of the grid. Raises SceneError if the hull is empty.
     """
-    mesh = Mesh(*hull_surface(carve(silhouettes(scene.train, MASK_SIDE), np.zeros(3), 1.05, resolution)))
+    outlines = silhouettes(scene.train, options.mask_side)
+    mesh = Mesh(*hull_surface(carve(outlines, np.zeros(3), 1.05, resolution)))
     positions, normals = _sample(mesh, count, np.random.default_rng(seed))
-    return _seen_on_hull(scene.train, positions, normals, resolution)
+    return _seen_on_hull(scene.train, positions, normals, resolution, options.colors)
 
 
-def _own_points(points: PointCloud) -> PointCloud:
+def _own_points(points: PointCloud, max_distance: float) -> PointCloud:
     """Return the capture's points that are finite and near enough."""
-    good = np.isfinite(points.positions).all(axis=1) & (np.abs(points.positions) < MAX_DISTANCE).all(axis=1)
+    good = np.isfinite(points.positions).all(axis=1) & (np.abs(points.positions) < max_distance).all(axis=1)
     return points.rows(good)
 
 
@@ -99,33 +87,37 @@ def _unmasked_points(
     seed: int,
     progress: Callable[[float], None],
     background: Background,
+    options: StartConfig,
 ) -> StartingPoints:
-    points, source = sweep_planes(scene.train, progress), StartSource.STEREO
+    points, source = sweep_planes(scene.train, progress, options.sweep), StartSource.STEREO
     if own is not None and len(own):
         points, source = own.joined(points), StartSource.CAPTURE
     last = scene.backdrop(background)
     points = points.rows(~last.hides(points.colors))
-    if source is StartSource.STEREO and len(points) < MIN_POINTS:
-        return ball_points(scene.train, count, seed)
-    points = _without_isolated(points)
+    if source is StartSource.STEREO and len(points) < options.min_points:
+        return ball_points(scene.train, count, seed, options.colors)
+    points = _without_isolated(points, options)
     generator = np.random.default_rng(seed)
-    around = points.rows(np.zeros(0, np.intp)) if last.plain else background_points(scene.train, points.positions)
-    around = around.rows(np.sort(_some(np.arange(len(around)), round(BACKGROUND_POINTS * count), generator)))
+    around = points.rows(np.zeros(0, np.intp))
+    if not last.plain:
+        around = background_points(scene.train, points.positions, options.background)
+    most = round(options.background_share * count)
+    around = around.rows(np.sort(_some(np.arange(len(around)), most, generator)))
     count -= len(around)
-    outside = np.linalg.norm(points.positions, axis=1) > BALL
-    behind = _some(np.flatnonzero(outside), round(BACKGROUND * count), generator)
+    outside = np.linalg.norm(points.positions, axis=1) > options.ball
+    behind = _some(np.flatnonzero(outside), round(options.outside * count), generator)
     before = _some(np.flatnonzero(~outside), count - len(behind), generator)
     kept = points.rows(np.sort(np.concatenate([before, behind]))).joined(around)
     return StartingPoints(kept.positions, kept.colors, source)
 
 
-def _without_isolated(points: PointCloud) -> PointCloud:
+def _without_isolated(points: PointCloud, options: StartConfig) -> PointCloud:
     """Drop isolated points in the ball, as their splats would become huge floating disks."""
-    inside = np.linalg.norm(points.positions, axis=1) <= BALL
+    inside = np.linalg.norm(points.positions, axis=1) <= options.ball
     if not inside.any():
         return points
     spacing = cKDTree(points.positions).query(points.positions, k=4)[0][:, 1:].mean(axis=1)
-    kept = ~inside | (spacing <= MAX_SPACING * np.median(spacing[inside]))
+    kept = ~inside | (spacing <= options.max_spacing * np.median(spacing[inside]))
     return points.rows(kept)
 
 
@@ -141,26 +133,30 @@ def _surface_points(
     seed: int,
     generator: np.random.Generator,
     progress: Callable[[float], None],
+    expert: ExpertConfig,
 ) -> StartingPoints:
     side = max(max(outline.distance.shape) for outline in outlines)
-    resolution = RESOLUTION if side >= RESOLUTION else RESOLUTION // 2  # small images have no finer detail
+    resolution, options = expert.start.resolution, expert.start
+    resolution = resolution if side >= resolution else resolution // 2  # small images have no finer detail
     hull = carve(outlines, np.zeros(3), 1.05, resolution)
     if scene.ground is not None:
         hull = cut_at(hull, scene.ground)
-    found = find_surface(scene.train, outlines, hull, seed, progress)
+    found = find_surface(scene.train, outlines, hull, seed, progress, expert)
     positions, normals = _sample(found.mesh, count, generator)
     shiny = found.light is not LightKind.UNKNOWN
     return replace(
-        _seen_on_hull(scene.train, positions, normals, resolution),
+        _seen_on_hull(scene.train, positions, normals, resolution, options.colors),
         shiny=shiny,
         lighting=found.lighting,
         surface=found.mesh,
     )
 
 
-def _seen_on_hull(views: Sequence[View], positions: np.ndarray, normals: np.ndarray, resolution: int) -> StartingPoints:
+def _seen_on_hull(
+    views: Sequence[View], positions: np.ndarray, normals: np.ndarray, resolution: int, options: ViewColorOptions
+) -> StartingPoints:
     # The hull is only accurate to a voxel, so points within a few voxels do not occlude each other.
-    colors = seen_colors(views, positions, normals, tolerance=4 * 1.05 / resolution)
+    colors = seen_colors(views, positions, normals, 4 * 1.05 / resolution, options)
     return StartingPoints(positions, colors, StartSource.HULL, normals)
 
 

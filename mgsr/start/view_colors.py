@@ -7,21 +7,20 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mgsr.config.expert import ViewColorOptions
 from mgsr.data.camera import Camera
 from mgsr.data.scene import View
 from mgsr.data.valid_mask import valid_at
-
-# Least cosine between normal and view direction: at a grazing angle, a pixel mixes the colours of neighbours.
-MIN_COSINE = 0.2
-
-# Pixels along a side of the depth maps for occlusion, coarse enough that the points leave no gaps.
-DEPTH_SIDE = 96
 
 _UNSEEN = 999
 
 
 def seen_colors(
-    views: Sequence[View], positions: np.ndarray, normals: np.ndarray | None = None, tolerance: float = 0.05
+    views: Sequence[View],
+    positions: np.ndarray,
+    normals: np.ndarray | None = None,
+    tolerance: float = 0.05,
+    options: ViewColorOptions = ViewColorOptions(),
 ) -> np.ndarray:
     """Return the colour [P,3] uint8 sRGB of each point: the median over the views that see it, without highlights.
 
@@ -31,7 +30,7 @@ def seen_colors(
     """
     samples = np.full((len(views), len(positions), 3), _UNSEEN, dtype=np.int16)
     for sample, view in zip(samples, views, strict=True):
-        _sample_view(sample, view, positions, normals, tolerance)
+        _sample_view(sample, view, positions, normals, tolerance, options)
     count = (samples[..., 0] != _UNSEEN).sum(axis=0)
     samples.sort(axis=0)
     middle = np.maximum(count - 1, 0) // 2
@@ -40,22 +39,33 @@ def seen_colors(
 
 
 def _sample_view(
-    sample: np.ndarray, view: View, positions: np.ndarray, normals: np.ndarray | None, tolerance: float
+    sample: np.ndarray,
+    view: View,
+    positions: np.ndarray,
+    normals: np.ndarray | None,
+    tolerance: float,
+    options: ViewColorOptions,
 ) -> None:
     """Write the view's colours into `sample` [P,3] for the points [P,3] that it sees."""
-    index, rows, cols = seen_pixels(view, positions, normals, None if normals is None else tolerance)
+    hidden = None if normals is None else tolerance
+    index, rows, cols = seen_pixels(view, positions, normals, hidden, options.depth_side, options.min_cosine)
     sample[index] = view.image[rows, cols]
 
 
 def seen_pixels(
-    view: View, positions: np.ndarray, normals: np.ndarray | None, tolerance: float | None, side: int = DEPTH_SIDE
+    view: View,
+    positions: np.ndarray,
+    normals: np.ndarray | None,
+    tolerance: float | None,
+    side: int,
+    min_cosine: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return which of the points [P,3] a view sees, as indices [S], and the rows and columns [S] of their pixels.
 
     positions [P,3]: in the scene's frame. normals [P,3]: unit; points that face away are not seen; None: all points
     face the view. tolerance: the distance behind others beyond which a point is hidden; None: no point is hidden.
-    side: cells along the longer side of the occlusion depth map, few enough that the points leave no gaps. A view sees
-    nothing at invalid pixels and outside its mask.
+    side: cells along the longer side of the occlusion depth map, few enough that the points leave no gaps. min_cosine:
+    the least cosine between normal and view direction. A view sees nothing at invalid pixels and outside its mask.
     """
     camera = view.camera
     pixels, depth = camera.project(positions)
@@ -66,7 +76,7 @@ def seen_pixels(
     if normals is not None:
         towards = camera.center - positions
         cosine = (normals * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)
-        seen &= cosine > MIN_COSINE
+        seen &= cosine > min_cosine
     if tolerance is not None:
         seen &= ~_hidden(camera, pixels, depth, seen, tolerance, side)
     index = np.flatnonzero(seen)

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from mgsr.config.expert import FusionOptions
 from mgsr.data.camera import Camera, pinhole_row
 from mgsr.data.hull import Hull, hull_surface
 from mgsr.geometry.displace import mean_normals
@@ -28,28 +29,14 @@ from mgsr.geometry.triangles import drop_small_pieces
 from mgsr.native import _fusion
 from mgsr.stereo.patch_match import DepthMap
 
-RESOLUTION = 192  # most voxels along the hull's longest side
-FINEST = 0.7  # pixels; least size of a voxel
-COARSER = 2  # size of a voxel of the first, coarse fusion; the fine fusion is limited to the band around its surface
-NEAR = 0.9  # times REACH; half the width of that band
-REACH = 3.0  # pixels; truncation of the signed distances
-BINS = 12  # of the histogram, from -REACH to REACH
-HULL_WEIGHT, HULL_FLOOR = 0.5, 0.02  # weight of the hull's vote near its surface and deep inside; photographs: 0..1
-THIN = 2.0  # times REACH; where the hull is thinner, its vote weighs more
-THINNEST = 0.2  # times THIN; thickness below which the hull's vote weighs no more
-FADING = 2.0  # times REACH; depth over which the hull's vote falls to 1/e
-SOLID_WEIGHT = 0.05  # weight of a photograph's vote for solid space more than REACH behind its surface
-SOLID_DEPTH = 5.0  # times REACH; depth behind the surface at which these votes end
-POOLED = 1.0  # voxels; standard deviation of the Gaussian that pools the votes
-VARIATION = 0.14  # times REACH; weight of the total variation against votes of weight 1
-ROUNDS, FINE_ROUNDS = 120, 40  # iterations of the optimiser from the votes' median, and from the coarse fusion
-SMOOTHED = 0.5  # voxels; standard deviation of the Gaussian that smooths the final distances
-OUTSIDE = 1.0  # voxels; distance outside its place at which the surface is extracted
-SMALLEST = 0.02  # least area of a piece, as a share of the whole; smaller ones are noise
-
 
 def fuse(
-    cameras: Sequence[Camera], maps: Sequence[DepthMap], weights: Sequence[np.ndarray], hull: Hull, pixel: float
+    cameras: Sequence[Camera],
+    maps: Sequence[DepthMap],
+    weights: Sequence[np.ndarray],
+    hull: Hull,
+    pixel: float,
+    options: FusionOptions = FusionOptions(),
 ) -> Mesh:
     """Fuse depth maps to a surface in the scene's frame; it has no faces if the votes leave nothing solid.
 
@@ -57,18 +44,25 @@ def fuse(
     (`patch_match.weigh`). hull: the visual hull, not empty. pixel: the size of the finest maps' pixels on the object,
     in the scene's unit.
     """
-    votes = _Votes(cameras, maps, weights, REACH * pixel)
-    return _surface(_fused(votes, _Grid.around(hull, FINEST * pixel), hull, _roughly_fused(votes, hull, pixel)))
+    votes = _Votes(cameras, maps, weights, options.reach * pixel, options)
+    rough = _roughly_fused(votes, hull, pixel)
+    return _surface(_fused(votes, _Grid.around(hull, pixel, options), hull, rough), options)
 
 
 def fuse_roughly(
-    cameras: Sequence[Camera], maps: Sequence[DepthMap], weights: Sequence[np.ndarray], hull: Hull, pixel: float
+    cameras: Sequence[Camera],
+    maps: Sequence[DepthMap],
+    weights: Sequence[np.ndarray],
+    hull: Hull,
+    pixel: float,
+    options: FusionOptions = FusionOptions(),
 ) -> Mesh:
-    """Fuse depth maps as `fuse` does, but faster, on a grid with COARSER times larger voxels.
+    """Fuse depth maps as `fuse` does, but faster, on a grid with `options.coarser` times larger voxels.
 
     The arguments are those of `fuse`; weights [h,w].
     """
-    return _surface(_roughly_fused(_Votes(cameras, maps, weights, REACH * pixel), hull, pixel))
+    votes = _Votes(cameras, maps, weights, options.reach * pixel, options)
+    return _surface(_roughly_fused(votes, hull, pixel), options)
 
 
 @dataclass(frozen=True)
@@ -82,13 +76,15 @@ class _Votes:
     maps: Sequence[DepthMap]
     weights: Sequence[np.ndarray]
     reach: float
+    options: FusionOptions
 
     def on(self, points: np.ndarray) -> np.ndarray:
-        """Return the histograms [P,BINS] float32 of the depth maps' votes on the signed distances of points [P,3]."""
-        votes = np.empty((len(points), BINS), np.float32)
+        """Return the histograms [P,bins] float32 of the depth maps' votes on the signed distances of points [P,3]."""
+        votes = np.empty((len(points), self.options.bins), np.float32)
         cameras = np.stack([pinhole_row(camera) for camera in self.cameras])
         depths = [found.depth for found in self.maps]
-        _fusion.vote(points, cameras, depths, self.weights, self.reach, SOLID_WEIGHT, SOLID_DEPTH, votes)
+        solid = self.options.solid_weight, self.options.solid_depth
+        _fusion.vote(points, cameras, depths, self.weights, self.reach, *solid, votes)
         return votes
 
 
@@ -103,11 +99,11 @@ class _Grid:
         self.origin, self.voxel, self.shape = origin, voxel, shape
 
     @classmethod
-    def around(cls, hull: Hull, finest: float) -> _Grid:
-        """Make a grid around a hull, with voxels of size `finest` or larger."""
+    def around(cls, hull: Hull, pixel: float, options: FusionOptions) -> _Grid:
+        """Make a grid around a hull. pixel: the size of a pixel on the object, in the scene's unit."""
         inside = hull.reached()
         low, high = inside.min(axis=0) - 1.5 * hull.voxel, inside.max(axis=0) + 1.5 * hull.voxel
-        voxel = max(float((high - low).max()) / RESOLUTION, finest)
+        voxel = max(float((high - low).max()) / options.resolution, options.finest * pixel)
         return cls(low, voxel, tuple(int(count) + 1 for count in np.ceil((high - low) / voxel)))
 
     def centers(self) -> np.ndarray:
@@ -130,7 +126,7 @@ def _fused(votes: _Votes, grid: _Grid, hull: Hull, rough: Hull | None) -> Hull:
 
     rough: the result of a coarser fusion, which is kept outside the band around its surface; None: there is none.
     """
-    centers = grid.centers()
+    centers, options = grid.centers(), votes.options
     depth = hull.values(centers).astype(np.float32) / votes.reach
     bound = np.clip(depth, -1, 1)
     near = depth > -2 * grid.voxel / votes.reach
@@ -138,44 +134,46 @@ def _fused(votes: _Votes, grid: _Grid, hull: Hull, rough: Hull | None) -> Hull:
         field = np.full(len(centers), -1, np.float32)
     else:
         field = rough.values(centers).astype(np.float32) / votes.reach
-        near &= np.abs(field) < NEAR
+        near &= np.abs(field) < options.band
     active = np.flatnonzero(near)
     histogram = votes.on(centers[active])
     for values in histogram.T:
-        values[:] = grid.blurred(active, values, POOLED)
-    fading = HULL_WEIGHT * np.exp(-np.maximum(depth[active] - 1, 0) / FADING)
-    held = np.maximum(fading, HULL_FLOOR) / _thickness(depth, votes.reach, grid)[active] ** 2
-    histogram[np.arange(len(active)), _bins(bound[active])] += held
+        values[:] = grid.blurred(active, values, options.pooled)
+    fading = options.hull_weight * np.exp(-np.maximum(depth[active] - 1, 0) / options.fading)
+    held = np.maximum(fading, options.hull_floor) / _thickness(depth, votes, grid)[active] ** 2
+    histogram[np.arange(len(active)), _bins(bound[active], options.bins)] += held
     field[active] = np.minimum(_median(histogram), bound[active])
     field, most = np.clip(field, -1, 1).reshape(grid.shape), bound.reshape(grid.shape)
-    strength = VARIATION * votes.reach / grid.voxel
-    _fusion.regularise(histogram, active, most, strength, ROUNDS if rough is None else FINE_ROUNDS, field)
-    smooth = ndimage.gaussian_filter(field, SMOOTHED)
+    strength = options.variation * votes.reach / grid.voxel
+    rounds = options.rounds if rough is None else options.fine_rounds
+    _fusion.regularise(histogram, active, most, strength, rounds, field)
+    smooth = ndimage.gaussian_filter(field, options.smoothed)
     return Hull(np.minimum(smooth, most) * votes.reach, grid.origin, grid.voxel)
 
 
-def _thickness(depth: np.ndarray, reach: float, grid: _Grid) -> np.ndarray:
-    """Return the hull's approximate thickness [P] around each voxel, as a share of THIN, limited to THINNEST..1.
+def _thickness(depth: np.ndarray, votes: _Votes, grid: _Grid) -> np.ndarray:
+    """Return the hull's approximate thickness [P] around each voxel, as a share of `thin`, limited to `thinnest`..1.
 
     depth [P]: the voxels' signed depth inside the hull, in units of the votes' reach.
     """
-    around = 2 * round(THIN * reach / grid.voxel) + 1
+    options = votes.options
+    around = 2 * round(options.thin * votes.reach / grid.voxel) + 1
     deepest = ndimage.maximum_filter(depth.reshape(grid.shape), around, mode="nearest")
-    return np.asarray(np.clip(deepest.ravel() / (THIN / 2), THINNEST, 1))
+    return np.asarray(np.clip(deepest.ravel() / (options.thin / 2), options.thinnest, 1))
 
 
 def _roughly_fused(votes: _Votes, hull: Hull, pixel: float) -> Hull:
-    fine = _Grid.around(hull, FINEST * pixel)
-    coarse = _Grid(fine.origin, COARSER * fine.voxel, tuple(-(-count // COARSER) + 1 for count in fine.shape))
+    fine, times = _Grid.around(hull, pixel, votes.options), votes.options.coarser
+    coarse = _Grid(fine.origin, times * fine.voxel, tuple(-(-count // times) + 1 for count in fine.shape))
     return _fused(votes, coarse, hull, None)
 
 
-def _surface(field: Hull) -> Mesh:
-    outside = OUTSIDE * field.voxel
+def _surface(field: Hull, options: FusionOptions) -> Mesh:
+    outside = options.outside * field.voxel
     if not (field.field > -outside).any():
         return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
     whole = Mesh(*hull_surface(Hull(field.field + outside, field.origin, field.voxel)))
-    mesh = drop_small_pieces(_without_voids(whole), SMALLEST)
+    mesh = drop_small_pieces(_without_voids(whole), options.min_piece)
     return mesh.moved(mesh.vertices - outside * mean_normals(mesh.double_normals, mesh.laplacian, rounds=2))
 
 
@@ -187,17 +185,18 @@ def _without_voids(mesh: Mesh) -> Mesh:
     return mesh.keep_faces((np.bincount(pieces, volumes, count) > 0)[pieces])
 
 
-def _bins(shares: np.ndarray) -> np.ndarray:
-    """Return the histogram bins [P] of distances [P] in -1..1; distances beyond fall into the outermost bins."""
-    bins: np.ndarray = np.clip(((shares + 1) / 2 * BINS).astype(int), 0, BINS - 1)
+def _bins(shares: np.ndarray, count: int) -> np.ndarray:
+    """Return the bins [P], of `count` in all, of distances [P] in -1..1; those beyond fall into the outermost bins."""
+    bins: np.ndarray = np.clip(((shares + 1) / 2 * count).astype(int), 0, count - 1)
     return bins
 
 
 def _median(histogram: np.ndarray) -> np.ndarray:
-    """Return the medians [P], -1..1, of histograms [P,BINS] that are not empty."""
+    """Return the medians [P], -1..1, of histograms [P,bins] that are not empty."""
+    bins = histogram.shape[1]
     sums = np.cumsum(histogram, axis=1)
     half = sums[:, -1] / 2
-    at = (sums < half[:, None]).sum(axis=1).clip(0, BINS - 1)
+    at = (sums < half[:, None]).sum(axis=1).clip(0, bins - 1)
     row = np.arange(len(histogram))
     share = (half - sums[row, at] + histogram[row, at]) / np.maximum(histogram[row, at], 1e-9)
-    return np.asarray((at + np.clip(share, 0, 1)) / BINS * 2 - 1, np.float32)
+    return np.asarray((at + np.clip(share, 0, 1)) / bins * 2 - 1, np.float32)

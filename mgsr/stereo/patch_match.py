@@ -12,47 +12,13 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
+from mgsr.config.expert import ConsistencyOptions, PatchMatchOptions
 from mgsr.data.camera import Camera
 from mgsr.data.images import reduce_area
 from mgsr.geometry.raycast import RayCaster, pixel_rays
 from mgsr.native import _stereo
 from mgsr.parallel import map_ahead
 from mgsr.stereo.photographs import StereoPhotographs
-
-NEIGHBOURS = 8  # views to match each view with
-HALF_DEPTH = 1.1  # world units; depth of the search before and behind the scene's centre
-CHECKED = 12  # nearest views that may confirm a depth
-CONFIRMED = 2  # least number of them that must confirm it
-SAME = 2.0  # pixels; largest difference of depths that confirm each other
-SEEN_THROUGH = 4.0  # pixels; a view that sees farther than this behind a point contradicts it
-SAME_NORMAL = np.cos(np.radians(40.0))  # least cosine between normals that confirm each other
-WORTHLESS, PERFECT = 0.2, 0.8  # scores between which a depth's weight rises to 1
-LEAST = 0.05  # least such weight of a confirmed depth
-
-
-@dataclass(frozen=True)
-class MatchSettings:
-    """Settings of the matching: the fields of StereoSettings in kernels/stereo/stereo.h, in its order.
-
-    radius: samples of a patch on each side of its centre. spacing: pixels between samples. noise: standard deviation of
-    the image noise, sRGB 0..1. alike, reach: the colour difference, sRGB 0..1, and the distance, in pixels, from the
-    centre at which a sample weighs 0.6. best: the number of best neighbours whose mean correlation is the score. cover:
-    the least share of a patch that must show the object in a neighbour. prior: the loss in score of a depth that is
-    prior_reach pixels off the start. search: the variation of depths in the first round, in pixels. rounds: of the
-    search.
-    """
-
-    radius: int = 2
-    spacing: float = 1.25
-    noise: float = 0.012
-    alike: float = 0.3
-    reach: float = 4.0
-    best: int = 3
-    cover: float = 0.6
-    prior: float = 0.1
-    prior_reach: float = 3.5
-    search: float = 7.0
-    rounds: int = 3
 
 
 @dataclass(frozen=True)
@@ -72,7 +38,7 @@ def match_views(
     photographs: StereoPhotographs,
     start: RayCaster,
     seed: int,
-    settings: MatchSettings = MatchSettings(),
+    options: PatchMatchOptions = PatchMatchOptions(),
     progress: Callable[[float], None] = lambda done: None,
 ) -> list[DepthMap]:
     """Find each view's depth map, in the order of the photographs. The same seed gives the same maps.
@@ -81,16 +47,18 @@ def match_views(
     """
     maps = []
     for view in range(len(photographs.images)):
-        maps.append(_match(photographs, view, start, seed, settings))
+        maps.append(_match(photographs, view, start, seed, options))
         progress(len(maps) / len(photographs.images))
     return maps
 
 
-def _match(photographs: StereoPhotographs, view: int, start: RayCaster, seed: int, settings: MatchSettings) -> DepthMap:
+def _match(
+    photographs: StereoPhotographs, view: int, start: RayCaster, seed: int, options: PatchMatchOptions
+) -> DepthMap:
     camera = photographs.cameras[view]
     size = camera.height, camera.width
     depth, normal, score = (np.zeros(shape, np.float32) for shape in (size, (*size, 3), size))
-    neighbours = photographs.neighbours(view, NEIGHBOURS)
+    neighbours = photographs.neighbours(view, options.neighbours, options.best_angle, options.max_angle)
     if len(neighbours) < 2:
         return DepthMap(depth, normal, np.full_like(depth, -1))
     seen = start.cast(camera)
@@ -102,8 +70,8 @@ def _match(photographs: StereoPhotographs, view: int, start: RayCaster, seed: in
         neighbours,
         np.ascontiguousarray(seen.depth, np.float32),
         np.ascontiguousarray(seen.normal @ turn.T, np.float32),
-        search_range(camera),
-        [float(each) for each in astuple(settings)],
+        search_range(camera, options.half_depth),
+        [float(each) for each in astuple(options.settings)],
         (seed * 1_000_003 + view) % 2**32,
         depth,
         normal,
@@ -112,20 +80,25 @@ def _match(photographs: StereoPhotographs, view: int, start: RayCaster, seed: in
     return DepthMap(depth, (normal @ turn).astype(np.float32), score)
 
 
-def search_range(camera: Camera) -> tuple[float, float]:
-    """Return the least and the largest camera z of the search, in world units."""
+def search_range(camera: Camera, half_depth: float) -> tuple[float, float]:
+    """Return the least and the largest camera z of the search, in world units.
+
+    half_depth: of the search before and behind the scene's centre, in world units.
+    """
     middle = float(camera.cam_from_world[2, 3])
-    nearest = max(middle - HALF_DEPTH, 0.05 * abs(middle), 1e-3)
-    return nearest, max(middle + HALF_DEPTH, 2 * nearest)
+    nearest = max(middle - half_depth, 0.05 * abs(middle), 1e-3)
+    return nearest, max(middle + half_depth, 2 * nearest)
 
 
-def weigh(photographs: StereoPhotographs, maps: Sequence[DepthMap]) -> list[np.ndarray]:
+def weigh(
+    photographs: StereoPhotographs, maps: Sequence[DepthMap], options: ConsistencyOptions = ConsistencyOptions()
+) -> list[np.ndarray]:
     """Return the confidence [h,w] float32 0..1 in each pixel of the depth maps.
 
-    It is 0 unless at least CONFIRMED views confirm the depth, and more confirm than contradict it. Depths that are seen
-    head-on and correlate well weigh more.
+    It is 0 unless at least `options.min_confirming` views confirm the depth, and more confirm than contradict it.
+    Depths that are seen head-on and correlate well weigh more.
     """
-    return list(map_ahead(lambda view: _weights(photographs, maps, view), range(len(maps)), None))
+    return list(map_ahead(lambda view: _weights(photographs, maps, view, options), range(len(maps)), None))
 
 
 def weigh_gaps(coarse: Sequence[np.ndarray], fine: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -139,7 +112,9 @@ def weigh_gaps(coarse: Sequence[np.ndarray], fine: Sequence[np.ndarray]) -> list
     ]
 
 
-def _weights(photographs: StereoPhotographs, maps: Sequence[DepthMap], view: int) -> np.ndarray:
+def _weights(
+    photographs: StereoPhotographs, maps: Sequence[DepthMap], view: int, options: ConsistencyOptions
+) -> np.ndarray:
     """Return the confidence [h,w] float32 0..1 in one view's depths (`weigh`)."""
     camera, found = photographs.cameras[view], maps[view]
     rays = pixel_rays(camera)
@@ -148,18 +123,19 @@ def _weights(photographs: StereoPhotographs, maps: Sequence[DepthMap], view: int
     normals = found.normal[rows, columns]
     points = camera.center + ways * found.depth[rows, columns, None]
     confirming, against = np.zeros(len(points), int), np.zeros(len(points), int)
-    for other in photographs.neighbours(view, CHECKED, apart=0.0):
+    same_normal = np.cos(np.radians(options.same_normal))
+    for other in photographs.neighbours(view, options.views, 0.0, options.max_angle):
         there, its = photographs.cameras[other], maps[other]
         inside, pixels, depths = there.project_inside(points)
         across, down = pixels.astype(int).T
         gaps = (its.depth[down, across] / depths - 1) * there.K[0, 0]
         known = its.depth[down, across] > 0
-        alike = (its.normal[down, across] * normals[inside]).sum(1) > SAME_NORMAL
-        confirming[inside] += known & alike & (np.abs(gaps) < SAME)
-        against[inside] += known & (gaps > SEEN_THROUGH)
+        alike = (its.normal[down, across] * normals[inside]).sum(1) > same_normal
+        confirming[inside] += known & alike & (np.abs(gaps) < options.same_depth)
+        against[inside] += known & (gaps > options.seen_through)
     cosines = -(ways * normals).sum(1) / np.linalg.norm(ways, axis=1)
-    scores = (found.score[rows, columns] - WORTHLESS) / (PERFECT - WORTHLESS)
+    scores = (found.score[rows, columns] - options.worthless) / (options.perfect - options.worthless)
     weights = np.zeros(found.depth.shape, np.float32)
-    believed = (confirming >= CONFIRMED) & (confirming > against)
-    weights[rows, columns] = believed * np.clip(scores, LEAST, 1) * np.clip(cosines, 0.1, 1)
+    believed = (confirming >= options.min_confirming) & (confirming > against)
+    weights[rows, columns] = believed * np.clip(scores, options.least, 1) * np.clip(cosines, 0.1, 1)
     return weights

@@ -6,22 +6,25 @@ from dataclasses import astuple
 
 import numpy as np
 
+from mgsr.config.expert import PatchMatchOptions
 from mgsr.geometry.raycast import RayCaster
 from mgsr.native import _stereo
-from mgsr.stereo.patch_match import NEIGHBOURS, MatchSettings, search_range
+from mgsr.stereo.patch_match import search_range
 from mgsr.stereo.photographs import StereoPhotographs
 
 
-def photo_consistency(photographs: StereoPhotographs, surface: RayCaster) -> float:
+def photo_consistency(
+    photographs: StereoPhotographs, surface: RayCaster, options: PatchMatchOptions = PatchMatchOptions()
+) -> float:
     """Return the photo-consistency of a surface: the mean NCC, -1..1, of the photographs with their neighbours.
 
     Patches are warped by the surface's tangent planes. The mean is over all pixels that show the object; a pixel
     without surface counts as -1. The result is 0 if no photograph has neighbours.
     """
-    settings = [float(each) for each in astuple(MatchSettings())]
+    settings = [float(each) for each in astuple(options.settings)]
     total, count = 0.0, 0
     for view, camera in enumerate(photographs.cameras):
-        neighbours = photographs.neighbours(view, NEIGHBOURS)
+        neighbours = photographs.neighbours(view, options.neighbours, options.best_angle, options.max_angle)
         if len(neighbours) < 2:
             continue
         seen, score = surface.cast(camera), np.empty((camera.height, camera.width), np.float32)
@@ -32,7 +35,7 @@ def photo_consistency(photographs: StereoPhotographs, surface: RayCaster) -> flo
             neighbours,
             np.ascontiguousarray(seen.depth, np.float32),
             np.ascontiguousarray(seen.normal @ camera.cam_from_world[:3, :3].T, np.float32),
-            search_range(camera),
+            search_range(camera, options.half_depth),
             settings,
             score,
         )

@@ -8,14 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
+from mgsr.config.expert import StereoConfig
 from mgsr.data.camera import Camera, pinhole_row
 from mgsr.data.images import reduce_area
 from mgsr.data.scene import View, some_of
 from mgsr.data.valid_mask import filled, valid_mean
 from mgsr.parallel import map_ahead
-
-MOST_PIXELS = 1_200_000  # most object pixels in all photographs together; larger photographs are reduced
-APART, FARTHEST = 20.0, 60.0  # degrees; the best and the largest angle between neighbours
 
 
 @dataclass(frozen=True)
@@ -34,9 +32,9 @@ class StereoPhotographs:
         """Return the cameras as one array [N,16] float32 of `pinhole_row` rows."""
         return np.array([pinhole_row(camera) for camera in self.cameras], np.float32)
 
-    def neighbours(self, view: int, count: int, apart: float = APART) -> list[int]:
-        """Return the indices of at most `count` neighbours of `view`, those nearest to `apart` degrees away first."""
-        return neighbours(self.cameras, view, count, apart, FARTHEST)
+    def neighbours(self, view: int, count: int, apart: float, farthest: float) -> list[int]:
+        """Return the indices of at most `count` neighbours of `view`, by `neighbours`; angles in degrees."""
+        return neighbours(self.cameras, view, count, apart, farthest)
 
     def reduced(self, share: float) -> StereoPhotographs:
         """Reduce the photographs' sides by the factor `share`; each new pixel is the mean over its area."""
@@ -59,11 +57,11 @@ def neighbours(cameras: Sequence[Camera], view: int, count: int, apart: float, f
     return [int(each) for each in order if angles[each] < farthest]
 
 
-def stereo_photographs(views: Sequence[View]) -> StereoPhotographs:
-    """Prepare `some_of` a scene's views, reduced so that at most MOST_PIXELS show the object."""
+def stereo_photographs(views: Sequence[View], max_pixels: int = StereoConfig().max_object_pixels) -> StereoPhotographs:
+    """Prepare `some_of` a scene's views, reduced so that at most `max_pixels` show the object."""
     some = some_of(views)
     area = sum(float((view.alpha > 127).sum()) if view.alpha is not None else view.image[..., 0].size for view in some)
-    shrink = min(1.0, (MOST_PIXELS / max(area, 1)) ** 0.5)
+    shrink = min(1.0, (max_pixels / max(area, 1)) ** 0.5)
     images, cameras = zip(*map_ahead(lambda view: _prepared(view, shrink), some, None), strict=True)
     return StereoPhotographs(list(images), list(cameras))
 

@@ -23,13 +23,13 @@ FORMAT = 7
 def fingerprint(scene: Scene, config: Config) -> dict[str, str]:
     """Return the hashes by which a checkpoint must match a run.
 
-    They cover the training images and cameras, and the settings that change the result.
+    They cover the training images and cameras, and the settings that change the result of training.
     """
     digest = hashlib.sha256()
     for view in scene.train:
         digest.update(_view_bytes(view))
     train = replace(config.train, watch=WatchConfig())
-    settings = repr((config.method, config.seed, config.data, train, config.time_budget is None))
+    settings = repr((config.method, config.seed, config.data, train, config.expert, config.time_budget is None))
     return {"scene": digest.hexdigest(), "settings": hashlib.sha256(settings.encode()).hexdigest()}
 
 

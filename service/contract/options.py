@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import math
 import re
 from enum import StrEnum
 from pathlib import Path
@@ -21,6 +22,7 @@ PRESETS: dict[str, dict[str, str]] = LIBRARY["presets"]
 METHODS: dict[str, dict[str, str]] = LIBRARY["methods"]
 RENAMED: dict[str, str] = LIBRARY["renamed"]
 SETTINGS: dict[str, dict[str, Any]] = LIBRARY["settings"]
+EXPERT = "expert."  # what the names of the algorithms' options begin with
 
 Preset = StrEnum("Preset", {name.upper(): name for name in PRESETS})  # type: ignore[misc]
 Method = StrEnum("Method", {"M_" + name.upper(): name for name in METHODS})  # type: ignore[misc]
@@ -93,9 +95,12 @@ class JobOptions(BaseModel):
 def find_setting(key: str) -> str:
     """Return the full name of the setting that a full name, or its end, means (`data.max_side`, `max_side`).
 
+    Options of algorithms give way to settings that users set.
+
     Raises ValueError for a setting that does not exist, with similar names, or that is ambiguous.
     """
     hits = [key] if key in SETTINGS else [path for path in SETTINGS if path.endswith("." + key)]
+    hits = [path for path in hits if not path.startswith(EXPERT)] or hits
     if len(hits) == 1:
         return hits[0]
     if hits:
@@ -164,14 +169,21 @@ def _fits(value: SettingValue, schema: dict[str, Any]) -> bool:
         return False
     if not isinstance(value, _KINDS[schema["type"]]) or ("enum" in schema and value not in schema["enum"]):
         return False
-    return isinstance(value, str) or schema.get("minimum", float("-inf")) <= value < float("inf")
+    return isinstance(value, str) or _within(value, schema)
+
+
+def _within(value: float, schema: dict[str, Any]) -> bool:
+    low = value > schema["exclusiveMinimum"] if "exclusiveMinimum" in schema else value >= schema.get("minimum", 0)
+    return low and value <= schema.get("maximum", math.inf) and value < math.inf
 
 
 def _say(schema: dict[str, Any]) -> str:
     if "enum" in schema:
         return "one of " + ", ".join(schema["enum"])
-    least = f" of at least {schema['minimum']}" if "minimum" in schema else ""
-    return {"null": "null", "boolean": "true or false"}.get(schema["type"], f"{schema['type']}{least}")
+    words = {"minimum": "at least", "exclusiveMinimum": "more than", "maximum": "at most"}
+    bounds = " and ".join(f"{word} {schema[key]:g}" for key, word in words.items() if key in schema)
+    kind = {"null": "null", "boolean": "true or false"}.get(schema["type"], schema["type"])
+    return f"{kind} of {bounds}" if bounds else kind
 
 
 def _as_text(value: SettingValue) -> str:

@@ -7,11 +7,12 @@ from typing import Any
 from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
-from service.contract.options import METHODS, PRESETS, SETTINGS, JobOptions
+from service.contract.options import EXPERT, METHODS, PRESETS, SETTINGS, JobOptions
 from service.parts import OwnerDep, PartsDep
 from service.problems import answers
 
-PAPER = "train.paper."  # settings that only reproduce the paper's rows; a form has no place for them
+# Settings that only reproduce the paper's rows, and the options of algorithms: a form has no place for them.
+UNLISTED = ("train.paper.", EXPERT)
 
 router = APIRouter(tags=["options"])
 
@@ -23,7 +24,7 @@ class OptionsView(BaseModel):
     presets: dict[str, dict[str, str]] = Field(description="What each preset changes.")
     methods: dict[str, dict[str, str]] = Field(description="What each method changes.")
     settings: dict[str, dict[str, Any]] = Field(
-        description="JSON schema of each setting, without those that only reproduce the paper's rows (`train.paper`)."
+        description="JSON schema of each setting that users set, without `train.paper` and `expert`."
     )
     max_upload: int = Field(description="Bytes that an archive may have.")
 
@@ -35,6 +36,6 @@ async def get_options(owner: OwnerDep, parts: PartsDep) -> OptionsView:
         options=JobOptions.model_json_schema(),
         presets=PRESETS,
         methods=METHODS,
-        settings={path: schema for path, schema in SETTINGS.items() if not path.startswith(PAPER)},
+        settings={path: schema for path, schema in SETTINGS.items() if not path.startswith(UNLISTED)},
         max_upload=parts.settings.max_upload,
     )

@@ -20,7 +20,7 @@ from mgsr.data.formats import all_formats
 from mgsr.data.readers import load_scene
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.light_estimate import LightEstimate
-from scripts.options_page import paper_markdown, settings_markdown
+from scripts.options_page import expert_markdown, paper_markdown, settings_markdown
 from tests.cli.spheres import write_spheres
 from tests.docs.blocks import PAGES, ROOT, program
 from tests.mesh.shapes import ball
@@ -54,7 +54,8 @@ def test_the_weights_of_the_formulas_are_settings() -> None:
 
 
 def test_the_table_of_settings_has_every_one_with_its_default() -> None:
-    tables = "\n".join(markdown.split("### What the")[0] for markdown in (settings_markdown(), paper_markdown()))
+    pages = (settings_markdown(), paper_markdown(), expert_markdown())
+    tables = "\n".join(markdown.split("### What the")[0] for markdown in pages)
     rows = re.findall(r"^\| `(\w+)` \| `([^`]*)` \|", tables, re.M)
     assert len(rows) == len(field_types(Config())) - 4  # preset, method, seed and time_budget are options of their own
     assert ("normal_weight", "0.05") in rows and ("close_holes", "off") in rows
@@ -157,5 +158,7 @@ def test_formulas_are_shown_without_scripts(site: Path) -> None:
 def test_the_settings_stand_on_their_page(site: Path) -> None:
     text = (site / "options.html").read_text(encoding="utf-8")
     users, paper = text.split("Settings for comparison with the paper")[-2:]
-    assert "poisson_depth" in users and "validation_patience" in paper and "validation_patience" not in users
+    paper, algorithms = paper.split("Options of the algorithms")[-2:]
+    for name, part in {"poisson_depth": users, "validation_patience": paper, "half_depth": algorithms}.items():
+        assert all((name in each) == (each is part) for each in (users, paper, algorithms)), name
     assert "settings of mgsr/config" not in text.replace("`", "")

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from mgsr.config.expert import BilateralOptions
 from mgsr.geometry import bilateral_filter
-from mgsr.geometry.bilateral_filter import BilateralOptions, bilateral_normal_filter
+from mgsr.geometry.bilateral_filter import bilateral_normal_filter
 from mgsr.geometry.mesh import Mesh
 from tests.mesh.shapes import ball
 

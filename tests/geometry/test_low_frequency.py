@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from mgsr.config.expert import LowFrequencyOptions
 from mgsr.geometry import low_frequency
-from mgsr.geometry.low_frequency import LowFrequencyOptions, smooth_low_frequency
+from mgsr.geometry.low_frequency import smooth_low_frequency
 from mgsr.geometry.mesh import Mesh
 from tests.geometry.test_bilateral_filter import tilt, unit
 from tests.mesh.shapes import ball

@@ -13,7 +13,7 @@ from mgsr.errors import MeshError
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import topology
 from mgsr.mesh.extract import extract_mesh
-from mgsr.mesh.steps import STEPS
+from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult
 from mgsr.mesh.views import SurfaceView
 from mgsr.shading.light_estimate import LightEstimate, LightKind
@@ -192,14 +192,14 @@ class Shrink(MeshStep):
 
 def test_a_step_is_added_by_one_line(views: list[SurfaceView]) -> None:
     """Check that a new step is run, and told with its outcome and time, without any other change."""
-    plain, smaller = (extract_mesh(views, CONFIG, steps=steps) for steps in (STEPS, (*STEPS, Shrink())))
+    plain, smaller = (extract_mesh(views, CONFIG, steps=steps) for steps in (mesh_steps(), (*mesh_steps(), Shrink())))
     np.testing.assert_array_equal(smaller.vertices, 0.5 * plain.vertices)
     assert list(smaller.steps) == [*plain.steps, "shrink"]
     report = smaller.steps["shrink"]
     assert report.outcome == {"factor": 0.5} and report.faces == len(plain.faces) and report.seconds >= 0
-    assert "shrink" not in extract_mesh(views, CONFIG, steps=(*STEPS, Shrink(factor=1.0))).steps
+    assert "shrink" not in extract_mesh(views, CONFIG, steps=(*mesh_steps(), Shrink(factor=1.0))).steps
 
 
 def test_steps_have_names_of_their_own() -> None:
-    names = [step.name for step in STEPS]
+    names = [step.name for step in mesh_steps()]
     assert len(set(names)) == len(names)

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import mgsr
 from mgsr.cli.main import app
-from mgsr.config import DataConfig, OutputConfig
+from mgsr.config import Config, DataConfig, OutputConfig
 from mgsr.data.camera import Camera
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, Similarity, View
@@ -144,7 +144,7 @@ def test_a_flash_keeps_its_surface(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("mgsr.pipeline.result_files.lit_scene", lit)
     scene = Scene("far", tmp_path, "plain", [], [], None, Similarity(0.954, AWAY))
     write_lighting(tmp_path, lighting(), scene)
-    as_lit(tmp_path, scene)
+    as_lit(tmp_path, scene, Config())
     np.testing.assert_allclose(found[0].mesh.vertices, lighting().mesh.vertices, rtol=0, atol=3e-7)
 
 

@@ -137,7 +137,7 @@ def test_options_tell_everything_that_users_set(stack: Stack) -> None:
         "default": None,
     }
     assert found["options"]["properties"]["seed"]["minimum"] == 0
-    assert not any(name.startswith("train.paper.") for name in found["settings"])
+    assert not any(name.startswith(("train.paper.", "expert.")) for name in found["settings"])
 
 
 def test_metrics_count_what_happens(stack: Stack) -> None:

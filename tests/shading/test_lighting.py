@@ -12,7 +12,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.images import srgb_to_linear
 from mgsr.data.scene import Scene, Similarity
 from mgsr.geometry.mesh import Mesh
-from mgsr.shading.lighting import DIMMEST, Lighting, lit_scene
+from mgsr.shading.lighting import Lighting, lit_scene
 from tests.mesh.shapes import looking_at_origin
 from tests.shading.test_shape_from_shading import flash, photographs, refine, rippled
 
@@ -126,7 +126,7 @@ def test_places_that_are_not_known_are_lit_as_others() -> None:
 
 def test_darkness_is_never_complete() -> None:
     dark = replace(ball_and_wall(), lamp=0.0, ambient=np.zeros(len(ball_and_wall().mesh.vertices)))
-    assert (dark.seen_by(camera()) == round(255 * DIMMEST ** (1 / 2.4))).all()
+    assert (dark.seen_by(camera()) == round(255 * dark.options.dimmest ** (1 / 2.4))).all()
 
 
 def test_the_light_goes_along_into_another_frame() -> None:

@@ -18,7 +18,7 @@ from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.pixels import back_project
 from mgsr.shading.light_estimate import LightKind
 from mgsr.shading.light_models import EnvironmentLight, FlashLight
-from mgsr.shading.photo_set import Observer, PhotoSet
+from mgsr.shading.photo_set import PhotoSet
 from mgsr.shading.photometric_refinement import refine_photometrically
 from mgsr.start.starting_points import starting_points
 from tests.mesh.shapes import as_mesh, ball, cameras_around, silhouettes_of, views_of
@@ -130,7 +130,7 @@ def test_a_dent_comes_out_under_a_flash() -> None:
     """
     truth, full = dented(), ball(RADIUS)
     views = flash_photographs(truth, painted)
-    observer = Observer(photos_of(truth, views).photographs, PIXEL, None)
+    observer = photos_of(truth, views).observer(PIXEL)
     flash = FlashLight(observer, as_mesh(full), observer.observe(as_mesh(full)))
     found, unlit = (
         refine_photometrically(as_mesh(full), photos_of(truth, views), 6.0, known) for known in (flash, None)
@@ -190,7 +190,7 @@ def test_highlights_move_nothing_where_the_surroundings_are_known() -> None:
     colored = photographs(full, plain, many_lamps, noise=2)
     views = [replace(view, image=np.repeat(view.image[..., :1], 3, axis=-1)) for view in colored]
     photos = photos_of(full, views)
-    mirroring = EnvironmentLight(Observer(photos.photographs, PIXEL, None))
+    mirroring = EnvironmentLight(photos.observer(PIXEL))
     drawn, remaining = (
         np.linalg.norm(found.vertices - full.vertices, axis=1).mean() / PIXEL
         for known in (None, mirroring)

@@ -12,11 +12,11 @@ from mgsr.config import MeshConfig
 from mgsr.data.scene import View
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.extract import take_steps
-from mgsr.mesh.steps import STEPS
+from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import StepContext
 from mgsr.shading.light_estimate import LightEstimate, LightKind
 from mgsr.shading.light_models import FlashLight
-from mgsr.shading.photo_set import Observer, PhotoSet
+from mgsr.shading.photo_set import PhotoSet
 from mgsr.shading.photometric_residual import photometric_residual
 from tests.mesh.shapes import as_mesh, ball
 from tests.shading.painted import PIXEL, flash_photographs, painted
@@ -49,7 +49,7 @@ def past_the_hole() -> list[View]:
 def refined(views: list[View], config: MeshConfig) -> tuple[Mesh, LightEstimate, float]:
     """Take the steps of refinement on a full ball, and return the removed share of its area too."""
     context = StepContext([], PhotoSet(views), config, PIXEL, None, lambda: True)
-    mesh, light, reports = take_steps(as_mesh(ball()), context, [step for step in STEPS if step.refines])
+    mesh, light, reports = take_steps(as_mesh(ball()), context, [step for step in mesh_steps() if step.refines])
     removed = reports["remove_contradicted"].outcome["removed_area"] if "remove_contradicted" in reports else 0.0
     return mesh, light, float(removed)
 
@@ -57,7 +57,7 @@ def refined(views: list[View], config: MeshConfig) -> tuple[Mesh, LightEstimate,
 def test_photographs_differ_over_a_hole_alone(past_the_hole: list[View]) -> None:
     full = ball()
     mesh, photos = as_mesh(full), PhotoSet(past_the_hole)
-    observer = Observer(photos.photographs, PIXEL, None)
+    observer = photos.observer(PIXEL)
     flash = FlashLight(observer, mesh, observer.observe(mesh))
     differing, away = photometric_residual(mesh, photos, flash), angles(full.vertices)
     assert (differing[away < HOLE - 0.1] > 0.01).mean() > 0.95

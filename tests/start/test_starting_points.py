@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from mgsr.cli.demo import find_example
 from mgsr.config import DataConfig, Masks
+from mgsr.config.expert import EnvironmentOptions
 from mgsr.data.hull import Hull, carve, hull_surface, signed_field
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import PointCloud, Scene, Similarity
@@ -168,8 +169,8 @@ def test_a_mirror_is_not_carved(mirror: Scene, monkeypatch: pytest.MonkeyPatch) 
     """
     compared: list[EnvironmentResidual] = []
 
-    def compare(surfaces: Sequence[Mesh], photos: PhotoSet) -> list[EnvironmentResidual]:
-        compared.extend(environment_residuals(surfaces, photos))
+    def compare(surfaces: Sequence[Mesh], photos: PhotoSet, options: EnvironmentOptions) -> list[EnvironmentResidual]:
+        compared.extend(environment_residuals(surfaces, photos, options))
         return compared
 
     monkeypatch.setattr(masked_surface, "environment_residuals", compare)
@@ -180,7 +181,7 @@ def test_a_mirror_is_not_carved(mirror: Scene, monkeypatch: pytest.MonkeyPatch) 
     assert off_the_ball(positions) < 1.2 * off_the_ball(outer)
 
 
-def smaller_hull(cameras: object, maps: object, weights: object, hull: Hull, pixel: float) -> Mesh:
+def smaller_hull(cameras: object, maps: object, weights: object, hull: Hull, *rest: object) -> Mesh:
     """Find, in place of stereo, a surface 0.07 inside the hull's."""
     return Mesh(*hull_surface(replace(hull, field=hull.field - 0.07)))
 

@@ -8,9 +8,9 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from scipy import ndimage
 
+from mgsr.config.expert import MatchSettings
 from mgsr.data.camera import Camera
 from mgsr.native import _stereo
-from mgsr.stereo.patch_match import MatchSettings
 from mgsr.stereo.photographs import StereoPhotographs
 from tests.mesh.shapes import looking_at_origin
 

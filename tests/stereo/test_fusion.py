@@ -4,11 +4,13 @@ silhouettes, a sheet, and a deep cavity of a block."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
+from mgsr.config.expert import FusionOptions
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.hull import Hull, carve, hull_surface
 from mgsr.geometry.mesh import Mesh
@@ -23,6 +25,7 @@ COUNT, SIDE = 20, 64
 CAMERAS = cameras_around(COUNT, side=SIDE)
 TWICE = CAMERAS[::2] * 2  # every second camera, with two maps each
 PIXEL = pixel_size(CAMERAS, np.zeros(3))
+OPTIONS = FusionOptions()
 
 Change = Callable[[np.ndarray], np.ndarray]  # of depths [P]
 
@@ -48,12 +51,12 @@ def perfect(ball: trimesh.Trimesh, change: Change = lambda depths: depths) -> li
     return maps
 
 
-def grid_of(hull: Hull) -> fusion._Grid:
-    return fusion._Grid.around(hull, fusion.FINEST * PIXEL)
+def grid_of(hull: Hull, options: FusionOptions = OPTIONS) -> fusion._Grid:
+    return fusion._Grid.around(hull, PIXEL, options)
 
 
 def votes_of(maps: list[DepthMap]) -> fusion._Votes:
-    return fusion._Votes(CAMERAS, maps, heavy(maps), fusion.REACH * PIXEL)
+    return fusion._Votes(CAMERAS, maps, heavy(maps), OPTIONS.reach * PIXEL, OPTIONS)
 
 
 def block(half: np.ndarray, voxel: float = 0.03) -> Hull:
@@ -158,36 +161,36 @@ def test_heavier_words_count_more(ball: trimesh.Trimesh, hull: Hull) -> None:
     assert np.median(right) < 0.3 and np.median(wrong) > 0.8
 
 
-def test_what_many_see_before_it_is_solid(ball: trimesh.Trimesh, hull: Hull, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_many_see_before_it_is_solid(ball: trimesh.Trimesh, hull: Hull) -> None:
     """Check that the ball stays solid where each camera has a right map, and a faint one that looks into its middle."""
     maps, through = perfect(ball)[::2], perfect(ball, lambda depths: depths + 0.6)[::2]
 
     weights, grid = heavy(maps) + heavy(through, 0.06), grid_of(hull)
-    votes = fusion._Votes(TWICE, maps + through, weights, fusion.REACH * PIXEL)
 
-    def volume() -> float:
+    def volume(options: FusionOptions) -> float:
+        votes = fusion._Votes(TWICE, maps + through, weights, options.reach * PIXEL, options)
         inside = (fusion._fused(votes, grid, hull, None).field > 0).sum()
         return float(inside * grid.voxel**3 / ball.volume)
 
-    assert 0.95 < volume() < 1.02
-    monkeypatch.setattr(fusion, "VARIATION", 1e-6)  # which would close the middle too
-    assert 0.95 < volume() < 1.02
-    monkeypatch.setattr(fusion, "SOLID_WEIGHT", 0.0)
-    assert volume() < 0.9, "the faint maps alone tell of the middle"
+    assert 0.95 < volume(OPTIONS) < 1.02
+    rough = FusionOptions(variation=1e-6)  # total variation would close the middle too
+    assert 0.95 < volume(rough) < 1.02
+    faint = replace(rough, solid_weight=0.0)
+    assert volume(faint) < 0.9, "the faint maps alone tell of the middle"
     # No photograph sees the void, and the surface has none.
-    mesh = as_trimesh(fuse(TWICE, maps + through, weights, hull, PIXEL))
+    mesh = as_trimesh(fuse(TWICE, maps + through, weights, hull, PIXEL, faint))
     assert len(mesh.split(only_watertight=False)) == 1
 
 
 def test_coarse_to_fine_is_as_good_as_fine_alone(ball: trimesh.Trimesh, hull: Hull, fused: Mesh) -> None:
     grid = grid_of(hull)
-    alone = fusion._surface(fusion._fused(votes_of(perfect(ball)), grid, hull, None))
+    alone = fusion._surface(fusion._fused(votes_of(perfect(ball)), grid, hull, None), OPTIONS)
     for found in (distances(alone.vertices, fused), distances(fused.vertices, alone)):
         assert np.percentile(found, 97) < 0.15 * grid.voxel and found.max() < 0.25 * grid.voxel
 
 
 def test_a_rough_fusion_is_right_to_its_own_voxel(ball: trimesh.Trimesh, hull: Hull) -> None:
-    maps, voxel = perfect(ball), fusion.COARSER * grid_of(hull).voxel
+    maps, voxel = perfect(ball), OPTIONS.coarser * grid_of(hull).voxel
     mesh = fuse_roughly(CAMERAS, maps, heavy(maps), hull, PIXEL)
     assert all(np.percentile(found, 95) < 0.6 and found.max() < 1.5 for found in apart(mesh, ball, voxel))
     assert len(mesh.vertices) < 0.4 * len(fuse(CAMERAS, maps, heavy(maps), hull, PIXEL).vertices)
@@ -206,7 +209,7 @@ def in_a_room(sheet: trimesh.Trimesh) -> list[DepthMap]:
     return [DepthMap(np.where(found.score > 0, found.depth, 6), found.normal, found.score) for found in perfect(sheet)]
 
 
-def test_a_sheet_thinner_than_a_voxel_keeps_both_sides(plate: trimesh.Trimesh, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sheet_thinner_than_a_voxel_keeps_both_sides(plate: trimesh.Trimesh) -> None:
     solid, maps = block(np.array([0.55, 0.55, 0.35])), in_a_room(plate)
     mesh, voxel = fuse(CAMERAS, maps, heavy(maps), solid, PIXEL), grid_of(solid).voxel
     shell = as_trimesh(mesh)
@@ -216,11 +219,9 @@ def test_a_sheet_thinner_than_a_voxel_keeps_both_sides(plate: trimesh.Trimesh, m
     # The rim is moved back by a voxel as well as the sides, and smoothing rounds it, most of all at the corners.
     missed = distances(trimesh.sample.sample_surface(plate, 4000, seed=0)[0], mesh) / voxel
     assert np.percentile(missed, 75) < 0.5 and missed.max() < 4
-    monkeypatch.setattr(fusion, "OUTSIDE", 0.5)
-    torn = as_trimesh(fuse(CAMERAS, maps, heavy(maps), solid, PIXEL))
+    torn = as_trimesh(fuse(CAMERAS, maps, heavy(maps), solid, PIXEL, FusionOptions(outside=0.5)))
     assert torn.euler_number < 2
-    monkeypatch.setattr(fusion, "OUTSIDE", 0.0)
-    assert not len(fuse(CAMERAS, maps, heavy(maps), solid, PIXEL).faces)
+    assert not len(fuse(CAMERAS, maps, heavy(maps), solid, PIXEL, FusionOptions(outside=0.0)).faces)
 
 
 WELL, FLOOR, HALF = 0.2, -0.25, np.array([0.5, 0.5, 0.45])
@@ -236,15 +237,12 @@ def well() -> RayCaster:
     return RayCaster(np.concatenate(rings), np.array([*sides, [8, 9, 10], [8, 10, 11]]))
 
 
-@pytest.mark.parametrize(("weight", "variation"), [(0.05, 1e-6), (1 / 12, fusion.VARIATION)])
-def test_faint_words_empty_a_deep_cavity(
-    weight: float, variation: float, well: RayCaster, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize(("weight", "variation"), [(0.05, 1e-6), (1 / 12, OPTIONS.variation)])
+def test_faint_words_empty_a_deep_cavity(weight: float, variation: float, well: RayCaster) -> None:
     """Check that faint words of the few cameras that see its floor empty a deep cavity.
 
     Under total variation, which prefers the short way across its mouth, they must say more.
     """
-    monkeypatch.setattr(fusion, "VARIATION", variation)
     cameras = cameras_above(COUNT, SIDE)
     hits = [well.cast(camera) for camera in cameras]
     maps = [DepthMap(hit.depth, hit.normal, hit.mask.astype(np.float32)) for hit in hits]
@@ -252,15 +250,14 @@ def test_faint_words_empty_a_deep_cavity(
     above = looking_at_origin(np.array([0, 0.01, 3.0]), SIDE)
     floor = (true := well.cast(above).depth) > 3.2
 
-    def depth() -> float:
-        seen = fuse(cameras, maps, heavy(maps, weight), block(HALF), pixel).caster.cast(above).depth
+    def depth(options: FusionOptions) -> float:
+        seen = fuse(cameras, maps, heavy(maps, weight), block(HALF), pixel, options).caster.cast(above).depth
         share: float = float(np.median((seen - 3 + HALF[2])[floor])) / (HALF[2] - FLOOR)
         return share
 
     assert floor.sum() > 100 and np.median((true - 3 + HALF[2])[floor]) == pytest.approx(HALF[2] - FLOOR, abs=0.01)
-    assert 0.8 < depth() < 1.02
-    monkeypatch.setattr(fusion, "FADING", 1e9)
-    assert depth() < 0.6, "all of the hull's vote holds out"
+    assert 0.8 < depth(FusionOptions(variation=variation)) < 1.02
+    assert depth(FusionOptions(variation=variation, fading=1e9)) < 0.6, "all of the hull's vote holds out"
 
 
 def test_small_pieces_are_dropped() -> None:
@@ -275,10 +272,9 @@ def test_small_pieces_are_dropped() -> None:
     assert mesh.vertices[:, 0].max() < hull.origin[0] + 38 * hull.voxel, "the smallest is gone"
 
 
-def test_the_grid_is_as_fine_as_pixels_and_no_larger_than_it_may(hull: Hull, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert grid_of(hull).voxel == pytest.approx(fusion.FINEST * PIXEL)
-    monkeypatch.setattr(fusion, "RESOLUTION", 30)
-    grid = grid_of(hull)
+def test_the_grid_is_as_fine_as_pixels_and_no_larger_than_it_may(hull: Hull) -> None:
+    assert grid_of(hull).voxel == pytest.approx(OPTIONS.finest * PIXEL)
+    grid = grid_of(hull, FusionOptions(resolution=30))
     assert max(grid.shape) == 31
     # All of the hull lies in it, and a margin around.
     assert (hull.reached().min(axis=0) > grid.origin).all()
@@ -293,21 +289,20 @@ def rod(radius: float, half: float, voxel: float = 0.02) -> Hull:
     return Hull(inside.astype(np.float32), -count * voxel, voxel)
 
 
-def test_a_rod_that_only_silhouettes_tell_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rod_that_only_silhouettes_tell_stays() -> None:
     """Check that a rod of about two pixels across stays, though the least surface would be none."""
     maps = [DepthMap(*(np.zeros((SIDE, SIDE, *more), np.float32) for more in ((), (3,), ())))] * COUNT
     thin = rod(PIXEL, 0.6)
 
-    def length() -> float:
-        vertices = fuse(CAMERAS, maps, heavy(maps), thin, PIXEL).vertices
+    def length(options: FusionOptions) -> float:
+        vertices = fuse(CAMERAS, maps, heavy(maps), thin, PIXEL, options).vertices
         return float(np.ptp(vertices[:, 0])) if len(vertices) else 0.0
 
-    assert 1.0 < length() < 1.25
-    monkeypatch.setattr(fusion, "THINNEST", 1.0)
-    assert length() < 0.2
+    assert 1.0 < length(OPTIONS) < 1.25
+    assert length(FusionOptions(thinnest=1.0)) < 0.2
 
 
-def test_contradicting_words_give_a_calm_surface(hull: Hull, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_contradicting_words_give_a_calm_surface(hull: Hull) -> None:
     """Check that depths that scatter behind the hull give a surface about as large as its own convex hull's."""
     random = np.random.default_rng(0)
     outer = Mesh(*hull_surface(hull)).caster
@@ -322,10 +317,9 @@ def test_contradicting_words_give_a_calm_surface(hull: Hull, monkeypatch: pytest
 
     maps = [scattered(camera) for camera in CAMERAS]
 
-    def roughness() -> float:
-        mesh = as_trimesh(fuse(CAMERAS, maps, heavy(maps, 0.2), hull, PIXEL))
+    def roughness(options: FusionOptions) -> float:
+        mesh = as_trimesh(fuse(CAMERAS, maps, heavy(maps, 0.2), hull, PIXEL, options))
         return float(mesh.area / mesh.convex_hull.area)
 
-    assert roughness() < 1.1
-    monkeypatch.setattr(fusion, "VARIATION", 1e-6)
-    assert roughness() > 1.5
+    assert roughness(OPTIONS) < 1.1
+    assert roughness(FusionOptions(variation=1e-6)) > 1.5

@@ -7,8 +7,8 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
+from mgsr.config.expert import MatchSettings
 from mgsr.native import _stereo
-from mgsr.stereo.patch_match import MatchSettings
 from tests.ops.variants import ISAS, variant
 from tests.oracles import stereo as oracle
 from tests.stereo.patterned_plane import SIDE, PatternedPlane, patterned_plane

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mgsr.config.expert import MatchSettings, PatchMatchOptions
 from mgsr.data.scene import View
 from mgsr.geometry.raycast import RayCaster, pixel_rays
 from mgsr.native import _stereo
-from mgsr.stereo.patch_match import DepthMap, MatchSettings, match_views, weigh, weigh_gaps
+from mgsr.stereo.patch_match import DepthMap, match_views, weigh, weigh_gaps
 from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
 from tests.ops.variants import ISAS, variant
 from tests.stereo.pressed_ball import CAP, cameras_above, hull, photographs, pressed, with_noise
@@ -92,7 +93,7 @@ def test_scores_are_what_judge_says_less_the_prior(few: StereoPhotographs, start
     """
     camera, shown = few.cameras[0], few.images[0][..., 3] > 0.5
     settings = MatchSettings(prior=0.2, prior_reach=0.6)
-    found, seen = match_views(few, start, 0, settings)[0], start.cast(camera)
+    found, seen = match_views(few, start, 0, PatchMatchOptions(settings=settings))[0], start.cast(camera)
     away = np.abs(found.depth - seen.depth)[shown] * camera.K[0, 0] / seen.depth[shown]
     lost = settings.prior * np.minimum(1, away / settings.prior_reach)
     assert (lost < 0.5 * settings.prior).sum() > 50 and (lost == settings.prior).sum() > 50

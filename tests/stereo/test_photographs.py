@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from mgsr.data.scene import PHOTOGRAPHS, View
-from mgsr.stereo import photographs as module
-from mgsr.stereo.photographs import FARTHEST, StereoPhotographs, stereo_photographs
+from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
 from tests.mesh.shapes import cameras_around, looking_at_origin
 
 
@@ -49,13 +48,11 @@ def test_of_many_views_some_are_chosen_evenly() -> None:
 
 
 @pytest.mark.parametrize("masked", [True, False])
-def test_large_photographs_are_reduced_by_what_shows_the_object(masked: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_photographs_are_reduced_by_what_shows_the_object(masked: bool) -> None:
     some = [view if masked else replace(view, alpha=None) for view in views(6, side=80)]
     object_pixels = 6 * (40 * 40 if masked else 80 * 80)
-    monkeypatch.setattr(module, "MOST_PIXELS", object_pixels)
-    assert stereo_photographs(some).images[0].shape == (80, 80, 4)
-    monkeypatch.setattr(module, "MOST_PIXELS", object_pixels / 16)
-    found = stereo_photographs(some)
+    assert stereo_photographs(some, object_pixels).images[0].shape == (80, 80, 4)
+    found = stereo_photographs(some, object_pixels // 16)
     points = np.random.default_rng(1).normal(0, 0.3, (50, 3))
     for view, image, camera in zip(some, found.images, found.cameras, strict=True):
         assert image.shape == (20, 20, 4) and (camera.width, camera.height) == (20, 20)
@@ -65,15 +62,14 @@ def test_large_photographs_are_reduced_by_what_shows_the_object(masked: bool, mo
 
 
 @pytest.mark.parametrize("shrunk", [1, 4])
-def test_unknown_pixels_show_no_object_and_change_nothing(shrunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_pixels_show_no_object_and_change_nothing(shrunk: int) -> None:
     some = views(4, side=80)
-    monkeypatch.setattr(module, "MOST_PIXELS", 4 * 40 * 40 / shrunk**2)
     known = np.arange(80)[:, None] + np.zeros(80) < 42
     noisy = []
     for fill in (0, 200):
         images = [np.where(known[..., None], view.image, fill).astype(np.uint8) for view in some]
         noisy.append([replace(view, image=image, valid_mask=known) for view, image in zip(some, images, strict=True)])
-    first, second = (stereo_photographs(each) for each in noisy)
+    first, second = (stereo_photographs(each, 4 * 40 * 40 // shrunk**2) for each in noisy)
     for one, other in zip(first.images, second.images, strict=True):
         assert one.shape[0] == 80 // shrunk
         np.testing.assert_array_equal(one, other)
@@ -94,19 +90,19 @@ def turned(*degrees: float) -> StereoPhotographs:
 
 def test_neighbours_are_those_beside_by_the_angle() -> None:
     found = turned(0, 3, 18, -25, 40, -55, 75, 180)
-    assert found.neighbours(0, count=3, apart=20.0) == [2, 3, 1]
-    assert found.neighbours(0, count=3, apart=0.0) == [1, 2, 3]
-    assert found.neighbours(0, count=99, apart=20.0) == [2, 3, 1, 4, 5]
-    assert found.neighbours(7, count=99, apart=20.0) == []
+    assert found.neighbours(0, count=3, apart=20.0, farthest=60.0) == [2, 3, 1]
+    assert found.neighbours(0, count=3, apart=0.0, farthest=60.0) == [1, 2, 3]
+    assert found.neighbours(0, count=99, apart=20.0, farthest=60.0) == [2, 3, 1, 4, 5]
+    assert found.neighbours(7, count=99, apart=20.0, farthest=60.0) == []
 
 
 def test_no_view_is_its_own_neighbour_nor_farther_than_it_may() -> None:
     found = stereo_photographs(views(30))
     away = np.array([camera.center / np.linalg.norm(camera.center) for camera in found.cameras])
     for view in range(30):
-        others = found.neighbours(view, count=8, apart=0.0)
+        others = found.neighbours(view, count=8, apart=0.0, farthest=60.0)
         assert 1 <= len(others) <= 8 and view not in others
-        assert (np.degrees(np.arccos(away[others] @ away[view])) < FARTHEST).all()
+        assert (np.degrees(np.arccos(away[others] @ away[view])) < 60).all()
 
 
 def test_packed_cameras_carry_points_to_pixels() -> None:

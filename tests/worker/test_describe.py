@@ -7,6 +7,7 @@ import json
 import pytest
 
 from mgsr.config import Config, field_types, make_config
+from mgsr.errors import ConfigError
 from service.contract.options import SETTINGS, JobOptions, find_setting, parse_setting
 from worker.describe import LIBRARY, as_text, describe_library
 
@@ -17,8 +18,10 @@ def test_the_file_is_current() -> None:
 
 def test_every_default_passes_through_the_service_unchanged() -> None:
     settings = {path: schema["default"] for path, schema in SETTINGS.items()}
-    options = JobOptions.model_validate_json(json.dumps({"settings": dict(list(settings.items())[:200])}))
-    assert make_config(overrides=options.overrides()) == Config()
+    for first in range(0, len(settings), 200):  # as many as a job may have
+        some = dict(list(settings.items())[first : first + 200])
+        options = JobOptions.model_validate_json(json.dumps({"settings": some}))
+        assert make_config(overrides=options.overrides()) == Config()
 
 
 def test_every_setting_of_the_library_can_be_set() -> None:
@@ -34,6 +37,8 @@ def test_every_setting_of_the_library_can_be_set() -> None:
         ("close_holes=on", ("mesh.close_holes", True)),
         ("mesh.trim=2.5", ("mesh.trim", 2.5)),
         ("train.gaussians.densify.every=50", ("train.gaussians.densify.every", 50)),
+        ("fusion.bins=16", ("expert.stereo.fusion.bins", 16)),
+        ("radius=0.7", ("mesh.radius", 0.7)),  # not that of stereo's patches
     ],
 )
 def test_settings_from_the_command_line(text: str, expected: tuple[str, object]) -> None:
@@ -47,6 +52,21 @@ def test_settings_from_the_command_line(text: str, expected: tuple[str, object])
 def test_settings_that_can_not_be(text: str) -> None:
     with pytest.raises(ValueError):
         parse_setting(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("stereo.fusion.reach=0", "number of more than 0, got 0"),
+        ("match.settings.best=9", "integer of at least 1 and at most 8, got 9"),
+        ("mesh.trim=-1", "number of at least 0, got -1"),
+    ],
+)
+def test_numbers_out_of_range(text: str, expected: str) -> None:
+    with pytest.raises(ValueError, match=expected):
+        parse_setting(text)
+    with pytest.raises(ConfigError):
+        make_config(overrides=[text])
 
 
 def test_a_name_is_found_by_its_end() -> None:

@@ -1,5 +1,6 @@
 """The steps that finish a raw mesh, in their order. A new step is one file in this folder and one line here."""
 
+from mgsr.config import ExpertConfig
 from mgsr.mesh.steps.bilateral_filter import BilateralFilter
 from mgsr.mesh.steps.close_holes import CloseHoles
 from mgsr.mesh.steps.cut_at_ground import CutAtGround
@@ -15,21 +16,27 @@ from mgsr.mesh.steps.shape_from_shading import ShapeFromShading
 from mgsr.mesh.steps.smooth_low_frequency import SmoothLowFrequency
 from mgsr.mesh.steps.step import MeshStep
 
-# Shading and photometric refinement take two turns: each makes deeper concavities readable for the other.
-STEPS: tuple[MeshStep, ...] = (
-    PullIntoHull(),
-    DropDegenerate(),
-    DropSmallPieces(),
-    KeepSeen(),
-    FitContours(),
-    ShapeFromShading(turn=1, rounds=3),
-    PhotometricRefinement(turn=1),
-    ShapeFromShading(turn=2, rounds=2),
-    PhotometricRefinement(turn=2),
-    RemoveContradicted(),
-    SmoothLowFrequency(),
-    BilateralFilter(),
-    CutAtGround(),
-    CloseHoles(),
-    Decimate(),
-)
+
+def mesh_steps(expert: ExpertConfig = ExpertConfig()) -> tuple[MeshStep, ...]:
+    """Return the steps with their options.
+
+    Shading and photometric refinement take two turns: each makes deeper concavities readable for the other.
+    """
+    own, geometry, shading = expert.mesh.steps, expert.geometry, expert.shading
+    return (
+        PullIntoHull(own.pull_into_hull),
+        DropDegenerate(),
+        DropSmallPieces(),
+        KeepSeen(),
+        FitContours(geometry.contours),
+        ShapeFromShading(own.shape_from_shading, 1, shading.shape, shading.light),
+        PhotometricRefinement(1, shading.photometric),
+        ShapeFromShading(own.shape_from_shading_2, 2, shading.shape, shading.light),
+        PhotometricRefinement(2, shading.photometric),
+        RemoveContradicted(own.remove_contradicted, shading.residual),
+        SmoothLowFrequency(geometry.low_frequency),
+        BilateralFilter(geometry.bilateral),
+        CutAtGround(own.cut_at_ground),
+        CloseHoles(),
+        Decimate(),
+    )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from mgsr.geometry.bilateral_filter import BilateralOptions, bilateral_normal_filter
+from mgsr.config.expert import BilateralOptions
+from mgsr.geometry.bilateral_filter import bilateral_normal_filter
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult
 from mgsr.shading.light_estimate import LightEstimate

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from mgsr.config.expert import CutAtGroundOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult
 from mgsr.shading.light_estimate import LightEstimate
@@ -17,7 +18,7 @@ class CutAtGround(MeshStep):
     """
 
     name = "cut_at_ground"
-    sunk: float = 1.0  # footprints below the plane that are kept
+    options: CutAtGroundOptions = field(default_factory=CutAtGroundOptions)
 
     def applies(self, context: StepContext, light: LightEstimate) -> bool:
         return context.ground is not None
@@ -26,4 +27,6 @@ class CutAtGround(MeshStep):
         if context.ground is None:
             return StepResult(mesh, light)
         heights = mesh.vertices @ context.ground[:3] + context.ground[3]
-        return StepResult(mesh.keep_faces((heights > -self.sunk * context.footprint)[mesh.faces].any(axis=1)), light)
+        return StepResult(
+            mesh.keep_faces((heights > -self.options.sunk * context.footprint)[mesh.faces].any(axis=1)), light
+        )

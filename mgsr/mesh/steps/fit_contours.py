@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from mgsr.geometry.contours import ContourOptions, fit_contours
+from mgsr.config.expert import ContourOptions
+from mgsr.geometry.contours import fit_contours
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult
 from mgsr.shading.light_estimate import LightEstimate

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from mgsr.config import MeshConfig
+from mgsr.config.expert import PhotometricOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.steps.step import MeshStep, SceneFacts, StepContext, StepResult, reading_size
 from mgsr.shading.light_estimate import LightEstimate
-from mgsr.shading.photometric_refinement import PhotometricOptions, refine_photometrically
+from mgsr.shading.photometric_refinement import refine_photometrically
 
 
 @dataclass(frozen=True)

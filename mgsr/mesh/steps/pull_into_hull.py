@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from mgsr.config.expert import PullIntoHullOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.cleanup import pull_into_hull
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult
@@ -15,7 +16,7 @@ class PullIntoHull(MeshStep):
     """Move vertices outside a silhouette inwards, and cut off faces that lie too far outside."""
 
     name = "pull_into_hull"
-    rounds: int = 3  # of moving vertices along their normals
+    options: PullIntoHullOptions = field(default_factory=PullIntoHullOptions)
 
     def applies(self, context: StepContext, light: LightEstimate) -> bool:
         return context.hull is not None
@@ -25,4 +26,4 @@ class PullIntoHull(MeshStep):
         if hull is None or not len(mesh.faces):
             return StepResult(mesh, light)
         reach = config.hull_reach * context.footprint
-        return StepResult(pull_into_hull(mesh, hull, config.hull_margin or 0, reach, self.rounds), light)
+        return StepResult(pull_into_hull(mesh, hull, config.hull_margin or 0, reach, self.options.rounds), light)

@@ -6,11 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mgsr.config.expert import RemoveContradictedOptions, ResidualOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import drop_small_pieces
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult
 from mgsr.shading.light_estimate import LightEstimate, LightKind
-from mgsr.shading.photometric_residual import ResidualOptions, photometric_residual
+from mgsr.shading.photometric_residual import photometric_residual
 
 
 @dataclass(frozen=True)
@@ -22,9 +23,8 @@ class RemoveContradicted(MeshStep):
 
     name = "remove_contradicted"
     refines = True
-    share: float = 0.5  # of the largest residual, above which a face belongs to a patch
-    min_pixels: float = 10.0  # photographs' pixels that a patch covers at least
-    options: ResidualOptions = field(default_factory=ResidualOptions)
+    options: RemoveContradictedOptions = field(default_factory=RemoveContradictedOptions)
+    residual: ResidualOptions = field(default_factory=ResidualOptions)
 
     def applies(self, context: StepContext, light: LightEstimate) -> bool:
         config = context.config
@@ -34,7 +34,7 @@ class RemoveContradicted(MeshStep):
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
         most = context.config.photometric_residual
         assert light.model is not None and most is not None
-        residual = photometric_residual(mesh, context.photos, light.model, self.options)[mesh.faces].max(axis=1)
+        residual = photometric_residual(mesh, context.photos, light.model, self.residual)[mesh.faces].max(axis=1)
         areas = np.linalg.norm(mesh.face_crosses, axis=1) / 2
         gone = self._contradicted(mesh, residual, areas, most, context.photos.pixel_on(mesh) ** 2)
         removed = float(areas[gone].sum() / areas.sum())
@@ -49,8 +49,8 @@ class RemoveContradicted(MeshStep):
         self, mesh: Mesh, residual: np.ndarray, areas: np.ndarray, most: float, pixel_area: float
     ) -> np.ndarray:
         """Return the indices of the faces to remove. residual, areas [F]: of the faces."""
-        doubted = np.flatnonzero(residual > most * self.share)
+        doubted = np.flatnonzero(residual > most * self.options.share)
         count, patches = Mesh(mesh.vertices, mesh.faces[doubted]).components
         certain = np.bincount(patches, residual[doubted] > most, count) > 0
-        large = np.bincount(patches, areas[doubted], count) > pixel_area * self.min_pixels
+        large = np.bincount(patches, areas[doubted], count) > pixel_area * self.options.min_pixels
         return np.asarray(doubted[(certain & large)[patches]])

@@ -10,10 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from mgsr.config import MeshConfig
+from mgsr.config.expert import LightOptions, ShadingOptions, ShadingPass
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.steps.step import MeshStep, SceneFacts, StepContext, StepResult, reading_size
 from mgsr.shading.light_estimate import LightEstimate, LightKind, estimate_light
-from mgsr.shading.shape_from_shading import ShadingOptions, ShadingPass, shape_from_shading
+from mgsr.shading.shape_from_shading import shape_from_shading
 
 
 @dataclass(frozen=True)
@@ -25,11 +26,10 @@ class ShapeFromShading(MeshStep):
     """
 
     refines = True
+    rounds: ShadingPass
     turn: int = 1
-    edge: float = 1.0  # photographs' pixels; edges of the mesh that is bent
-    rounds: int = 3  # of reading the photographs and bending the surface
-    reach: float = 60.0  # photographs' pixels; larger shape stays
     options: ShadingOptions = field(default_factory=ShadingOptions)
+    light: LightOptions = field(default_factory=LightOptions)
 
     @property
     def name(self) -> str:
@@ -44,11 +44,11 @@ class ShapeFromShading(MeshStep):
         if config.max_light_residual is None:
             return 0.0
         if facts.flash:
-            return 10.0 * self.rounds * reading_size(facts, config)
+            return 10.0 * self.rounds.rounds * reading_size(facts, config)
         return 2.0 * reading_size(facts, config) if facts.shiny and self.turn == 1 else 0.0
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
-        light = estimate_light(mesh, context.photos, context.config.max_light_residual or 0.0, light)
-        passes = {LightKind.FLASH: (ShadingPass(self.edge, self.rounds, self.reach),)}
+        light = estimate_light(mesh, context.photos, context.config.max_light_residual or 0.0, light, self.light)
+        passes = {LightKind.FLASH: (self.rounds,)}
         mesh = shape_from_shading(mesh, context.photos, light, passes, go_on=context.go_on, options=self.options)
         return StepResult(mesh, light, {"light": str(light.kind)})

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from mgsr.config import MeshConfig
-from mgsr.geometry.low_frequency import LowFrequencyOptions, smooth_low_frequency
+from mgsr.config.expert import LowFrequencyOptions
+from mgsr.geometry.low_frequency import smooth_low_frequency
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.steps.step import MeshStep, SceneFacts, StepContext, StepResult, surface_cells
 from mgsr.shading.light_estimate import LightEstimate, LightKind

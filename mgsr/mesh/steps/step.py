@@ -86,7 +86,7 @@ class StepReport:
 class MeshStep(ABC):
     """A step that finishes a mesh.
 
-    A step is a frozen dataclass; its fields are its options, each with unit and meaning. name: its key in the report.
+    A step is a frozen dataclass; its fields are its options. name: its key in the report.
     """
 
     refines = False  # whether it refines the mesh by the photographs, which a time budget may skip

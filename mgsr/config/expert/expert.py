@@ -1,0 +1,23 @@
+"""The options of all algorithms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from mgsr.config.expert.geometry import GeometryConfig
+from mgsr.config.expert.mesh import MeshOptions
+from mgsr.config.expert.shading import ShadingConfig
+from mgsr.config.expert.start import StartConfig
+from mgsr.config.expert.stereo import StereoConfig
+from mgsr.config.options import Options
+
+
+@dataclass(frozen=True)
+class ExpertConfig(Options):
+    """The options of all algorithms, by the package of the algorithm."""
+
+    geometry: GeometryConfig = field(default_factory=GeometryConfig)
+    shading: ShadingConfig = field(default_factory=ShadingConfig)
+    stereo: StereoConfig = field(default_factory=StereoConfig)
+    start: StartConfig = field(default_factory=StartConfig)
+    mesh: MeshOptions = field(default_factory=MeshOptions)

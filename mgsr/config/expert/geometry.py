@@ -1,0 +1,65 @@
+"""Options of the algorithms on meshes (`mgsr.geometry`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from mgsr.config.options import Count, NotNegative, Options, Positive, Share, WholeNumber
+
+MAX_FACES = 150_000  # of a mesh that an optimisation runs on
+
+
+@dataclass(frozen=True)
+class BilateralOptions(Options):
+    """The bilateral filter of a mesh's normals. Source: Zheng and others 2011."""
+
+    rounds: WholeNumber = 4  # of filtering the normals; more rounds flatten real detail
+    steps: WholeNumber = 10  # of moving the vertices to match the normals
+    folded: Share = 0.7  # cosine between a face's normal and its filtered one below which the face counts as folded
+
+
+@dataclass(frozen=True)
+class ContourSearchOptions(Options):
+    """The search for a mesh's contour beside a mask's; pixels are those of the masks."""
+
+    search: Positive = 3.0  # pixels on both sides of a mask's contour in which to search for the mesh's contour
+    step: Positive = 0.25  # pixels between two rays of the search
+    finer: Count = 8  # rays that refine the contour within a step; fewer pull surfaces inwards by 0.04 pixels
+    facing: Share = 0.5  # least cosine between the surface normal and the contour's outward direction
+
+
+@dataclass(frozen=True)
+class ContourOptions(Options):
+    """The registration of a mesh to silhouette contours; pixels are those of the masks."""
+
+    coarse_edge: Positive = 1.0  # pixels; edge length of the coarse mesh that carries the smooth correction
+    max_faces: Count = MAX_FACES  # of that mesh
+    prior_weight: Positive = 0.02  # of a displacement of 0 where no contour touches; a vertex follows its neighbours
+    rounds: WholeNumber = 2  # of finding the mesh's contours and moving its vertices
+    search: ContourSearchOptions = field(default_factory=ContourSearchOptions)
+
+
+@dataclass(frozen=True)
+class LowFrequencyOptions(Options):
+    """The smoothing of low-frequency waves; its unit is a pixel of the photographs on the surface.
+
+    Source: local regression, Cleveland 1979.
+    """
+
+    edge: Positive = 1.0  # units; edge length of the coarse mesh that is smoothed
+    max_faces: Count = MAX_FACES  # of that mesh
+    reach: Positive = 2.5  # units; standard deviation of the Gaussian that weighs a vertex's neighbours
+    far: Positive = 2.0  # times reach; neighbours farther away do not count
+    rounds: Count = 3  # of filtering the normals
+    regularization: Positive = 0.15  # times reach squared; pulls a fit's slopes to 0 where neighbours are few
+    kept: NotNegative = 2.0  # units; wavelengths above 2 pi times this keep their positions, shorter ones follow the
+    # normals
+
+
+@dataclass(frozen=True)
+class GeometryConfig(Options):
+    """Algorithms on meshes."""
+
+    bilateral: BilateralOptions = field(default_factory=BilateralOptions)
+    contours: ContourOptions = field(default_factory=ContourOptions)
+    low_frequency: LowFrequencyOptions = field(default_factory=LowFrequencyOptions)

@@ -1,0 +1,212 @@
+"""Options of the photographs' shading: light, normals and photometric refinement (`mgsr.shading`).
+
+Pixels are those of the photographs on the surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from mgsr.config.expert.geometry import MAX_FACES, BilateralOptions, ContourSearchOptions
+from mgsr.config.options import Angle, Count, NotNegative, Options, Positive, Range, Share, WholeNumber
+
+
+@dataclass(frozen=True)
+class ObservationOptions(Options):
+    """The observations of a surface's points in the photographs."""
+
+    min_cosine: Share = 0.25  # least cosine between normal and view direction
+    min_alpha: Share = 0.97  # least alpha of a pixel; those below mix object and background
+    clipped: Share = 0.98  # largest value of a pixel's brightest channel; those above are clipped
+    count: Count = 24  # most observations of a point, the most frontal ones
+
+
+@dataclass(frozen=True)
+class OcclusionOptions(Options):
+    """Ambient occlusion and one-bounce interreflection."""
+
+    edge: Positive = 4.0  # pixels; edge length of the mesh that they are computed on
+    max_faces: Count = MAX_FACES  # of that mesh
+    rays: Count = 64  # of each vertex
+    min_cosine: Share = 0.05  # least cosine between normal and view direction at which a photograph's brightness counts
+
+
+@dataclass(frozen=True)
+class FlashFitOptions(Options):
+    """The calibration of a flash, by variable projection. Source: Golub and Pereyra 1973."""
+
+    points: Count = 3000  # approximate number of points in the fit
+    steps: Count = 40  # most Gauss-Newton steps
+    step_tolerance: NotNegative = 3e-4  # of the distance to the surface; the fit ends when the lamp moves by less
+    rounds: Count = 4  # of reweighting in a step
+    damping: NotNegative = 1e-3  # of Levenberg and Marquardt, for weakly constrained parameters
+    max_offset: NotNegative = 0.25  # of the distance to the surface; largest offset of the lamp from the lens
+
+
+@dataclass(frozen=True)
+class IrradianceOptions(Options):
+    """The irradiance of a surface by a flash, and its images."""
+
+    edge: Positive = 1.5  # pixels; edge length of the mesh that carries the light
+    max_faces: Count = MAX_FACES  # of that mesh
+    brightest: Share = 0.995  # quantile of the irradiance that counts as the brightest light
+    rays: Count = 512  # along an image's longer side at least; small images take several rays for a pixel
+    dimmest: Annotated[float, Range(0, 1, open=True)] = 0.02  # least irradiance at which a photograph shows a colour
+
+
+@dataclass(frozen=True)
+class FlashOptions(Options):
+    """Photometric stereo under a flash. Source: Woodham 1980."""
+
+    min_observations: Count = 5  # photographs that see a point; with fewer, its confidence is 0
+    prior_weight: NotNegative = 0.005  # of the surface's own normal, relative to the photographs
+    rounds: Count = 5  # of iteratively reweighted least squares
+    above: Positive = 0.5  # deviations at which an observation that is too bright counts half
+    below: Positive = 1.5  # deviations at which an observation that is too dark counts half
+    half_confidence: Positive = 0.03  # radians; standard deviation of a normal at which the confidence is 0.5
+    footprint_edge: NotNegative = 1.25  # pixels; on meshes with shorter edges, observations are corrected for the
+    # pixels' footprints
+    footprint_rays: Count = 2  # along a pixel's side, of that correction
+    fit: FlashFitOptions = field(default_factory=FlashFitOptions)
+    occlusion: OcclusionOptions = field(default_factory=OcclusionOptions)
+    irradiance: IrradianceOptions = field(default_factory=IrradianceOptions)
+
+
+@dataclass(frozen=True)
+class EnvironmentFitOptions(Options):
+    """The fit of the environment map that a surface mirrors, by robust least squares."""
+
+    height: Annotated[int, Range(2)] = 32  # cells of the polar angle; the azimuth has twice as many
+    points: Count = 6000  # most points in the fit
+    min_observations: Annotated[int, Range(2)] = 3  # photographs that see a point of the fit
+    smoothness: NotNegative = 0.002  # weight of the squared differences of neighbouring cells, relative to the
+    # observations
+    rounds: Count = 3  # of iteratively reweighted least squares
+    outlier: Positive = 3.0  # deviations at which an observation counts half
+
+
+@dataclass(frozen=True)
+class EnvironmentNormalOptions(Options):
+    """The search for the normals that explain the mirrored environment map."""
+
+    max_tilt: Annotated[float, Range(0, 80, open=True)] = 16.0  # degrees; largest tilt on each of two axes
+    step: Annotated[float, Range(0, 80, open=True)] = 4.0  # degrees between two tilts
+    cells: Annotated[int, Range(2)] = 64  # along a side of the map's lookup table; 64 resolve directions to 2 degrees
+    min_observations: Count = 5  # photographs that see a point; with fewer, its confidence is 0
+    outlier: Positive = 3.0  # deviations at which an observation counts half
+    pooled: NotNegative = 2.5  # pixels over which the costs of neighbours are pooled
+    tilt_cost: NotNegative = 0.08  # cost of a tilt by 10 degrees, relative to the observations' mean cost
+    convex: NotNegative = 0.12  # radians per pixel; convex edges that bend more are kept, as pixels show too little of
+    # each side
+    half_confidence: Positive = 4.0  # degrees; standard deviation of a normal at which the confidence is 0.5
+
+
+@dataclass(frozen=True)
+class EnvironmentResidualOptions(Options):
+    """The photometric residual of a surface under a mirrored environment map."""
+
+    averaged: NotNegative = 6.0  # pixels over which residuals are averaged
+    min_observations: Count = 3  # of a point that counts
+
+
+@dataclass(frozen=True)
+class EnvironmentOptions(Options):
+    """Static light that the surface mirrors."""
+
+    edge: Positive = 2.0  # pixels; edge length of the mesh for the fit of the map
+    max_faces: Count = MAX_FACES  # of that mesh
+    min_cosine: Share = 0.5  # least cosine of the tilt; at grazing angles, reflection is stronger than one map can
+    # model (Fresnel)
+    fit: EnvironmentFitOptions = field(default_factory=EnvironmentFitOptions)
+    normals: EnvironmentNormalOptions = field(default_factory=EnvironmentNormalOptions)
+    residual: EnvironmentResidualOptions = field(default_factory=EnvironmentResidualOptions)
+
+
+@dataclass(frozen=True)
+class LightOptions(Options):
+    """The choice of the light model, and both models."""
+
+    edge: Positive = 2.0  # pixels; edge length of the mesh on which the light models are compared
+    max_faces: Count = MAX_FACES  # of that mesh
+    max_environment_ratio: NotNegative = 0.85  # largest residual ratio of a map on an approximate surface
+    flash: FlashOptions = field(default_factory=FlashOptions)
+    environment: EnvironmentOptions = field(default_factory=EnvironmentOptions)
+
+
+@dataclass(frozen=True)
+class ShadingOptions(Options):
+    """The integration of target normals to a surface. Source: Nehab and others 2005."""
+
+    contour_weight: NotNegative = 10.0  # of a contour's displacement at a vertex that it touches
+    prior_weight: Positive = 0.05  # of a displacement of 0 at every vertex
+    max_faces: Count = MAX_FACES  # of the mesh that is bent
+    contour_smoothing: NotNegative = 1.5  # pixels over which the contours' displacements are smoothed
+    fairing: BilateralOptions = field(default_factory=BilateralOptions)
+    contours: ContourSearchOptions = field(default_factory=ContourSearchOptions)
+
+
+@dataclass(frozen=True)
+class ShadingPass(Options):
+    """Rounds of estimating target normals and fitting the surface to them."""
+
+    edge: Positive  # pixels; the mesh's edge length
+    rounds: WholeNumber  # of estimating normals and fitting the surface
+    reach: Positive  # pixels; wavelength above which shape stays unless contours move it
+    fairing: Angle = 0.0  # degrees of the bilateral filter before and after the rounds; 0 is none
+
+
+@dataclass(frozen=True)
+class DetailOptions(Options):
+    """The fine detail of a surface in photographs, and the mix of channels that locates it best."""
+
+    blur: NotNegative = 1.0  # pixels; standard deviation of the Gaussian against image noise
+    coarse: Positive = 3.0  # pixels; standard deviation of the wider Gaussian that is subtracted, as coarser variation
+    # is shading
+    min_cosine: Share = 0.3  # least cosine between normal and view direction
+    min_observations: Count = 4  # photographs that see a vertex
+    max_deviations: Positive = 3.0  # of the residual; outliers beyond this do not count for the mix
+    min_gain: NotNegative = 1.5  # least gain in information of another mix over grey
+
+
+@dataclass(frozen=True)
+class PhotometricOptions(Options):
+    """The photometric refinement. Source: Lucas and Kanade 1981; Vu and others 2012."""
+
+    edge: Positive = 1.5  # pixels; edge length of the mesh at whose vertices the photographs are sampled
+    coarse_edge: Positive = 4.0  # pixels; edge length of the mesh that carries the smooth displacements
+    max_faces: Count = MAX_FACES  # of either mesh
+    rounds: WholeNumber = 3  # of sampling the photographs and moving the vertices
+    limit: NotNegative = 1.0  # pixels; largest move of a vertex in a round
+    noise_reach: NotNegative = 3.0  # pixels over which the residual variance is averaged
+    outlier: Positive = 3.0  # deviations at which an observation counts half
+    mix_views: Count = 16  # most photographs for the choice of the channel mix
+    mirrored: Positive = 0.25  # times the noise; mirrored detail of this size halves an observation's weight
+    precision: Positive = 0.3  # pixels; standard deviation of a displacement that has weight 1 in the thin plate
+    contour_precision: Positive = 0.1  # pixels; standard deviation of a mask's contour
+    prior_weight: Positive = 1e-4  # of a displacement of 0, for vertices without observations
+    details: DetailOptions = field(default_factory=DetailOptions)
+    contours: ContourSearchOptions = field(default_factory=ContourSearchOptions)
+
+
+@dataclass(frozen=True)
+class ResidualOptions(Options):
+    """The photometric residual under a flash."""
+
+    edge: Positive = 1.5  # pixels; edge length of the mesh at whose vertices the photographs are sampled
+    max_faces: Count = MAX_FACES  # of that mesh
+    surface_error: NotNegative = 0.7  # pixels; tolerated position error of the surface
+    averaged: NotNegative = 3.0  # pixels over which the residual is averaged
+    forgiven: NotNegative = 6.0  # times the median over the surface; residuals below this are noise and gloss
+    details: DetailOptions = field(default_factory=DetailOptions)
+
+
+@dataclass(frozen=True)
+class ShadingConfig(Options):
+    """All that reads the photographs' shading."""
+
+    observations: ObservationOptions = field(default_factory=ObservationOptions)
+    light: LightOptions = field(default_factory=LightOptions)
+    shape: ShadingOptions = field(default_factory=ShadingOptions)
+    photometric: PhotometricOptions = field(default_factory=PhotometricOptions)
+    residual: ResidualOptions = field(default_factory=ResidualOptions)

@@ -1,0 +1,95 @@
+"""Options of the start reach the functions that they are for: another value gives the expected other result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mgsr.config import DataConfig, ExpertConfig, Masks, make_config
+from mgsr.config.expert import (
+    BackgroundPointOptions,
+    DepthFillingOptions,
+    PlaneSweepOptions,
+    PointExposureOptions,
+    ViewColorOptions,
+)
+from mgsr.data.readers import load_scene
+from mgsr.data.scene import Scene
+from mgsr.start.background_points import background_points
+from mgsr.start.depth_filling import fill_depth
+from mgsr.start.plane_sweep import sweep_planes
+from mgsr.start.point_exposures import point_exposures
+from mgsr.start.points import StartSource
+from mgsr.start.starting_points import starting_points
+from mgsr.start.view_colors import seen_colors
+from tests.data.captures import BallCapture
+from tests.mesh.shapes import cameras_around
+from tests.start.test_background_points import BALL, room
+from tests.start.test_depth_filling import on_lines, plane
+from tests.start.test_plane_sweep import unmasked
+from tests.start.test_point_exposures import POINTS, exposed_ball
+from tests.stereo.pressed_ball import photographs
+
+
+def expert(*overrides: str) -> ExpertConfig:
+    return make_config(overrides=overrides).expert
+
+
+@pytest.fixture
+def ball_scene(tmp_path: Path) -> Scene:
+    return load_scene(BallCapture(views=12).write_plain(tmp_path), DataConfig())
+
+
+def test_the_hull_has_the_resolution_that_is_set(ball_scene: Scene) -> None:
+    """Check it on the first surface, where stereo and the hull's residual decide nothing."""
+    surfaces = [
+        starting_points(ball_scene, 200, seed=0, expert=expert(f"start.resolution={resolution}", "match.neighbours=1"))
+        for resolution in (32, 16)
+    ]
+    fine, coarse = (len(found.surface.vertices) for found in surfaces if found.surface is not None)
+    assert coarse < 0.5 * fine
+
+
+def test_too_few_points_of_stereo_make_a_ball(tmp_path: Path) -> None:
+    views = unmasked(photographs(True, 0.0, cameras_around(30, side=64)))
+    scene = load_scene(BallCapture(views=12).write_plain(tmp_path), DataConfig(masks=Masks.OFF))
+    scene = Scene("ball", Path(), "", views, [], None, scene.user_from_scene)
+    for least, source in ((1, StartSource.STEREO), (10**6, StartSource.BALL)):
+        assert starting_points(scene, 200, seed=0, expert=expert(f"expert.start.min_points={least}")).source is source
+
+
+def test_plane_sweep() -> None:
+    views = unmasked(photographs(True, 0.0, cameras_around(30, side=64)))
+    usual = len(sweep_planes(views))
+    assert usual > 100 and not len(sweep_planes(views, options=PlaneSweepOptions(agreement=1.0)))
+    assert len(sweep_planes(views, options=PlaneSweepOptions(spacing=0.2, spacing_filled=0.2))) < 0.5 * usual
+
+
+def test_background_points() -> None:
+    views = room()[::4]
+    assert len(background_points(views, BALL, BackgroundPointOptions(seen=999))) == 0
+    near = background_points(views, BALL, BackgroundPointOptions(farthest=3.0, directions=1000))
+    assert 0 < len(near) <= 1000 and np.linalg.norm(near.positions, axis=1).max() < 3.001
+
+
+def test_depth_filling() -> None:
+    known, image = on_lines(plane(0.001, 0.004, 0.3), 16), np.full((48, 64, 3), 180.0)
+    assert np.isfinite(fill_depth(known, image)).all()
+    assert np.isnan(fill_depth(known, image, DepthFillingOptions(min_confidence=1.0))).any()
+
+
+def test_exposures_of_points() -> None:
+    train, test, _ = exposed_ball()
+    given = train, test, POINTS.positions, POINTS.normals
+    assert point_exposures(*given) is not None
+    assert point_exposures(*given, PointExposureOptions(min_points=10**6)) is None
+
+
+def test_colors_of_points() -> None:
+    """Check that a point which no view faces takes the colour of its nearest neighbour that one does."""
+    train, _, _ = exposed_ball()
+    usual = seen_colors(train, POINTS.positions, POINTS.normals)
+    frontal = seen_colors(train, POINTS.positions, POINTS.normals, options=ViewColorOptions(min_cosine=0.99))
+    assert len(np.unique(frontal, axis=0)) < 0.5 * len(np.unique(usual, axis=0))

@@ -13,11 +13,14 @@ from mgsr.config.expert.geometry import (
     LowFrequencyOptions,
 )
 from mgsr.config.expert.mesh import (
+    ColorOptions,
     CutAtGroundOptions,
     MeshOptions,
     MeshStepOptions,
     PullIntoHullOptions,
     RemoveContradictedOptions,
+    SurfaceChoiceOptions,
+    ViewFitOptions,
 )
 from mgsr.config.expert.shading import (
     DetailOptions,
@@ -57,6 +60,7 @@ from mgsr.config.expert.stereo import (
 __all__ = [
     "BackgroundPointOptions",
     "BilateralOptions",
+    "ColorOptions",
     "ConsistencyOptions",
     "ContourOptions",
     "ContourSearchOptions",
@@ -93,5 +97,7 @@ __all__ = [
     "ShadingPass",
     "StartConfig",
     "StereoConfig",
+    "SurfaceChoiceOptions",
     "ViewColorOptions",
+    "ViewFitOptions",
 ]

@@ -101,5 +101,6 @@ def test_a_benchmark_sweeps_and_records_them() -> None:
 
 def test_a_checkpoint_belongs_to_its_options() -> None:
     scene = Scene("none", Path(), "", [], [], None, Similarity())
-    plain, again, finer = (fingerprint(scene, make_config(overrides=each)) for each in ([], [], ["fusion.bins=16"]))
-    assert plain == again != finer
+    overrides: tuple[list[str], ...] = ([], ["expert.mesh.colors.rounds=3"], ["fusion.bins=16"])
+    plain, colored, finer = (fingerprint(scene, make_config(overrides=each)) for each in overrides)
+    assert plain == colored != finer, "of the mesh, training knows nothing"

@@ -38,7 +38,7 @@ def expert(*overrides: str) -> ExpertConfig:
 
 def test_colors_far_from_the_mean_count_less(views: list[SurfaceView], mesh: Mesh) -> None:
     """Check it on one green view among others, whose colour is far from theirs."""
-    green = replace(views[0], color=np.broadcast_to(np.float32([0, 1, 0]), views[0].color.shape))
+    green = replace(views[0], color=np.broadcast_to(np.array([0, 1, 0], np.float32), views[0].color.shape))
 
     def off(options: ColorOptions) -> float:
         colors, _ = seen_colors(mesh.vertices, mesh.normals, [green, *views[1:]], 0.5, 3.0, options=options)

@@ -56,6 +56,14 @@ from mgsr.config.expert.stereo import (
     PatchMatchOptions,
     StereoConfig,
 )
+from mgsr.config.expert.training import (
+    DensifyOptions,
+    ErrorGrowthOptions,
+    ExposureOptions,
+    OutlineOptions,
+    ProxyModelOptions,
+    TrainingOptions,
+)
 
 __all__ = [
     "BackgroundPointOptions",
@@ -65,13 +73,16 @@ __all__ = [
     "ContourOptions",
     "ContourSearchOptions",
     "CutAtGroundOptions",
+    "DensifyOptions",
     "DepthFillingOptions",
     "DetailOptions",
     "EnvironmentFitOptions",
     "EnvironmentNormalOptions",
     "EnvironmentOptions",
     "EnvironmentResidualOptions",
+    "ErrorGrowthOptions",
     "ExpertConfig",
+    "ExposureOptions",
     "FirstSurfaceOptions",
     "FlashFitOptions",
     "FlashOptions",
@@ -85,10 +96,12 @@ __all__ = [
     "MeshStepOptions",
     "ObservationOptions",
     "OcclusionOptions",
+    "OutlineOptions",
     "PatchMatchOptions",
     "PhotometricOptions",
     "PlaneSweepOptions",
     "PointExposureOptions",
+    "ProxyModelOptions",
     "PullIntoHullOptions",
     "RemoveContradictedOptions",
     "ResidualOptions",
@@ -98,6 +111,7 @@ __all__ = [
     "StartConfig",
     "StereoConfig",
     "SurfaceChoiceOptions",
+    "TrainingOptions",
     "ViewColorOptions",
     "ViewFitOptions",
 ]

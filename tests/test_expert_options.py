@@ -67,6 +67,7 @@ def test_ranges(valid: Range, inside: tuple[float, ...], outside: tuple[float, .
         ("worthless=0.9", r"^expert\.stereo\.consistency\.worthless: expected worthless < perfect, got 0\.9, 0\.8$"),
         ("expert.stereo.fusion.binz=3", r"did you mean expert\.stereo\.fusion\.bins"),
         ("fusion.rounds=none", "a whole number"),
+        ("radiu=1", r"did you mean .*mesh\.radius"),
     ],
 )
 def test_what_is_out_of_range_is_refused_with_its_path(override: str, said: str) -> None:

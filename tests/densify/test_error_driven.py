@@ -22,6 +22,7 @@ from mgsr.densify.error_driven import (
 )
 from mgsr.errors import ConfigError
 from mgsr.gaussians.start import new_gaussians, start_gaussians
+from mgsr.training.growth import ErrorGrowth
 from mgsr.training.plan import make_plan
 from tests.training.ball import ball_points, ball_scene
 
@@ -84,9 +85,9 @@ def test_options_of_what_counts() -> None:
 
 
 def test_growth_takes_its_options() -> None:
-    config = make_config(overrides=["error_growth.hidden=7", "clearance_rank=2"])
+    config = make_config(overrides=["error_growth.hidden=7"])
     plan = make_plan(ball_scene(24, train=6), ball_points(300), config)
-    growth = [stage.growth for stage in plan.stages if stage.growth is not None]
+    growth = [stage.growth for stage in plan.stages if isinstance(stage.growth, ErrorGrowth)]
     assert growth and all(each.options.hidden == 7 for each in growth)
 
 

@@ -67,6 +67,7 @@ def test_ranges(valid: Range, inside: tuple[float, ...], outside: tuple[float, .
         ("worthless=0.9", r"^expert\.stereo\.consistency\.worthless: expected worthless < perfect, got 0\.9, 0\.8$"),
         ("expert.stereo.fusion.binz=3", r"did you mean expert\.stereo\.fusion\.bins"),
         ("fusion.rounds=none", "a whole number"),
+        ("radiu=1", r"did you mean .*mesh\.radius"),
     ],
 )
 def test_what_is_out_of_range_is_refused_with_its_path(override: str, said: str) -> None:
@@ -101,5 +102,6 @@ def test_a_benchmark_sweeps_and_records_them() -> None:
 
 def test_a_checkpoint_belongs_to_its_options() -> None:
     scene = Scene("none", Path(), "", [], [], None, Similarity())
-    plain, again, finer = (fingerprint(scene, make_config(overrides=each)) for each in ([], [], ["fusion.bins=16"]))
-    assert plain == again != finer
+    overrides: tuple[list[str], ...] = ([], ["expert.mesh.colors.rounds=3"], ["fusion.bins=16"])
+    plain, colored, finer = (fingerprint(scene, make_config(overrides=each)) for each in overrides)
+    assert plain == colored != finer, "of the mesh, training knows nothing"

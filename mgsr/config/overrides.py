@@ -109,7 +109,8 @@ def _find_path(key: str, paths: list[str]) -> str:
         raise ConfigError(f"option {key!r} is ambiguous: say one of {', '.join(hits)}")
     if (name := _renamed(key)) != key:
         raise ConfigError(f"option {key!r} does not exist: write {name!r}")
-    names = {".".join(path.split(".")[-len(parts) :]): path for path in paths}
+    # The first ones, which users set, are named before options of algorithms that are called the same.
+    names = {".".join(path.split(".")[-len(parts) :]): path for path in reversed(paths)}
     near = [names[name] for name in difflib.get_close_matches(key, names, n=3, cutoff=0.5)]
     hint = f"; did you mean {', '.join(near)}?" if near else f"; top sections are {', '.join(_sections(paths))}"
     raise ConfigError(f"option {key!r} does not exist{hint}")

@@ -14,9 +14,8 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from mgsr.config.expert import DensifyOptions
 from mgsr.data.camera import Camera
-
-NEAREST = 10  # rank of the starting point that is used; nearer ones may be outliers
 
 
 @dataclass(frozen=True)
@@ -27,13 +26,19 @@ class Clearance:
     radii: Tensor
 
     @classmethod
-    def around(cls, cameras: Sequence[Camera], points: np.ndarray, share: float) -> Clearance:
+    def around(
+        cls,
+        cameras: Sequence[Camera],
+        points: np.ndarray,
+        share: float,
+        rank: int = DensifyOptions().clearance_rank,
+    ) -> Clearance:
         """Return balls around cameras, with a radius of `share` times the distance to the nearest starting points.
 
-        points [P,3] in the scene's frame. The NEAREST-th nearest point gives the distance, as nearer ones may be wrong.
+        points [P,3] in the scene's frame. The `rank`-th nearest point gives the distance, as nearer ones may be wrong.
         """
         centers = np.array([camera.center for camera in cameras])
-        distances = cKDTree(points).query(centers, k=[min(NEAREST, len(points))])[0][:, 0]
+        distances = cKDTree(points).query(centers, k=[min(rank, len(points))])[0][:, 0]
         return cls(torch.from_numpy(centers).float(), torch.from_numpy(share * distances).float())
 
     def outside(self, means: Tensor) -> Tensor:

@@ -14,13 +14,10 @@ import torch
 from torch import Tensor
 
 from mgsr.config import GaussianDensifyConfig
+from mgsr.config.expert import ErrorGrowthOptions
 from mgsr.data.camera import Camera
 from mgsr.densify.contribution import contributions
 from mgsr.gaussians.gaussians import GaussianModel
-
-SOLID = 0.3  # alpha from which a rendered depth counts as a surface
-HIDDEN = 3.0  # pixel sizes that a point may lie off the rendered surface of a view that sees it
-WINDOW = 3  # side of the averaging window, pixels; averaging suppresses sensor noise
 
 
 @dataclass(frozen=True)
@@ -57,15 +54,15 @@ class NewPoints:
         return NewPoints(self.positions[chosen], self.sizes[chosen], self.colors[chosen], self.residual[chosen])
 
 
-def visible_error(view: ViewResidual, tolerance: float) -> Tensor:
+def visible_error(view: ViewResidual, tolerance: float, options: ErrorGrowthOptions = ErrorGrowthOptions()) -> Tensor:
     """Return each pixel's visible error [H,W]: the locally averaged residual, in the mean over the channels.
 
     It is 0 where it is under the tolerance (sRGB 0..1) or no surface is rendered.
     """
-    planes = view.residual.permute(2, 0, 1)[None]
-    smooth = torch.nn.functional.avg_pool2d(planes, WINDOW, 1, WINDOW // 2, count_include_pad=False)[0]
+    planes, window = view.residual.permute(2, 0, 1)[None], options.window
+    smooth = torch.nn.functional.avg_pool2d(planes, window, 1, window // 2, count_include_pad=False)[0]
     error = smooth.abs().mean(dim=0)
-    return error * ((error > tolerance) & (view.alpha > SOLID))
+    return error * ((error > tolerance) & (view.alpha > options.solid))
 
 
 def planned_changes(error: Sequence[Tensor], count: int, config: GaussianDensifyConfig) -> tuple[int, int]:
@@ -100,18 +97,21 @@ def new_points(
     return NewPoints(*(torch.cat(tensors) for tensors in zip(*parts, strict=True)))
 
 
-def not_contradicted(points: NewPoints, views: Sequence[ViewResidual]) -> NewPoints:
+def not_contradicted(
+    points: NewPoints, views: Sequence[ViewResidual], hidden: float = ErrorGrowthOptions().hidden
+) -> NewPoints:
     """Return the points whose residual agrees among the views that see them.
 
     Residuals of a highlight differ in sign between views, and those of noise do so half of the time.
-    Points that no other view sees are left out, too.
+    Points that no other view sees are left out, too. hidden: the pixel sizes that a point may lie off the rendered
+    surface of a view that sees it.
     """
-    agreed = sum((_agreement(points, view) for view in views), torch.zeros_like(points.sizes))
+    agreed = sum((_agreement(points, view, hidden) for view in views), torch.zeros_like(points.sizes))
     # The point's own view is among the views, and agrees with itself.
     return points.rows(agreed > points.residual.square().sum(dim=1))
 
 
-def _agreement(points: NewPoints, view: ViewResidual) -> Tensor:
+def _agreement(points: NewPoints, view: ViewResidual, hidden: float) -> Tensor:
     """Return the products [M] of the points' own residuals and this view's there; 0 where it does not see them."""
     intrinsics, pose = _matrices(view)
     height, width = view.depth.shape
@@ -120,7 +120,7 @@ def _agreement(points: NewPoints, view: ViewResidual) -> Tensor:
     column, row = (x / w).floor().long(), (y / w).floor().long()
     inside = (w > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     pixel = torch.where(inside, row * width + column, 0)
-    seen = inside & ((view.depth.reshape(-1)[pixel] - w).abs() < HIDDEN * points.sizes)
+    seen = inside & ((view.depth.reshape(-1)[pixel] - w).abs() < hidden * points.sizes)
     return (points.residual * view.residual.reshape(-1, 3)[pixel]).sum(dim=1) * seen
 
 

@@ -8,13 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mgsr.config.expert import ColorOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.views import SurfaceView, nearest, project, sample
 from mgsr.parallel import map_ahead
-
-COLOR_DEVIATION = 0.1  # sRGB 0..1; a colour this far from the mean counts half
-ROUNDS = 2  # of reweighting
-TOLERANCE = 3.0  # pixel footprints; the depth tolerance if the views' consistency is not checked
 
 
 def vertex_colors(
@@ -23,13 +20,14 @@ def vertex_colors(
     min_alpha: float,
     tolerance: float,
     threads: int | None = None,
+    options: ColorOptions = ColorOptions(),
 ) -> np.ndarray:
     """Return vertex colours [V,3] float32 sRGB 0..1 (`seen_colors`).
 
     A vertex that no view shows takes the colour of the nearest visible vertex.
     """
     vertices = mesh.vertices
-    colors, seen = seen_colors(vertices, mesh.normals, views, min_alpha, tolerance, threads)
+    colors, seen = seen_colors(vertices, mesh.normals, views, min_alpha, tolerance, threads, options)
     if seen.any() and not seen.all():
         colors[~seen] = colors[seen][cKDTree(vertices[seen]).query(vertices[~seen])[1]]
     return colors
@@ -42,6 +40,7 @@ def seen_colors(
     min_alpha: float,
     tolerance: float,
     threads: int | None = None,
+    options: ColorOptions = ColorOptions(),
 ) -> tuple[np.ndarray, np.ndarray]:
     """Blend the colours of surface points from the views that show them.
 
@@ -50,9 +49,9 @@ def seen_colors(
     [P] bool. A colour is a weighted mean: head-on views count more, and colours far from the mean count less.
     """
     samples = list(map_ahead(lambda view: _view_colors(points, normals, view, min_alpha, tolerance), views, threads))
-    mean, total = _blend(samples, len(points), None)
-    for _ in range(ROUNDS):
-        mean, _ = _blend(samples, len(points), mean)
+    mean, total = _blend(samples, len(points), None, options)
+    for _ in range(options.rounds):
+        mean, _ = _blend(samples, len(points), mean, options)
     return np.clip(mean, 0, 1), total > 0
 
 
@@ -78,7 +77,9 @@ def _view_colors(
     return _ViewColors(index[shown], sample(view.color, pixels[shown]), cosines[shown] ** 2)
 
 
-def _blend(samples: Sequence[_ViewColors], count: int, around: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def _blend(
+    samples: Sequence[_ViewColors], count: int, around: np.ndarray | None, options: ColorOptions
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the weighted mean colours [V,3] and the sums of the weights [V].
 
     around [V,3]: the mean of the previous round; colours far from it lose weight. None: all keep their weights.
@@ -88,7 +89,7 @@ def _blend(samples: Sequence[_ViewColors], count: int, around: np.ndarray | None
         weights = shown.weights
         if around is not None:
             off = shown.colors - around[shown.index]
-            weights = weights / (1 + (off * off).sum(1) / COLOR_DEVIATION**2)
+            weights = weights / (1 + (off * off).sum(1) / options.deviation**2)
         sums[shown.index] += shown.colors * weights[:, None]
         total[shown.index] += weights
     return sums / np.maximum(total, 1e-12)[:, None], total

@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import minimum_filter
 
+from mgsr.config.expert import MeshOptions
 from mgsr.data.silhouettes import Silhouette
 from mgsr.mesh.pixels import PixelRules, surface_pixels
 from mgsr.mesh.points import OrientedPoints
 from mgsr.mesh.views import SurfaceView, nearest, project, sample
 from mgsr.parallel import map_ahead
-
-REACH = 2.0  # times the tolerance within which a view confirms a point: spans the depth noise, but no other surface
 
 
 @dataclass(frozen=True)
@@ -39,12 +38,13 @@ def compare_views(
     rules: PixelRules,
     tolerance: float,
     threads: int | None = None,
+    reach: float = MeshOptions().confirm_reach,
 ) -> Agreement:
     """Compare points with every view, and move them to the surface on which the confirming views agree.
 
     A view contradicts a point if all 3x3 pixels around the point show a surface more than `tolerance` pixel footprints
     behind it, or none. The limit is larger where the surface is slanted. A view confirms a point that faces it and lies
-    within REACH times that limit of its surface. A view is silent about points that its surface or its mask hides.
+    within `reach` times that limit of its surface. A view is silent about points that its surface or its mask hides.
 
     Confirming views move the point along its normal to their mean surface, and turn its normal to their mean normal. A
     view's weight falls smoothly to 0 at its border, so neighbouring points are averaged over nearly the same views, and
@@ -55,7 +55,7 @@ def compare_views(
     count = len(points)
     against, confirming = np.zeros(count, np.int32), np.zeros(count, np.int32)
     sums = np.zeros((count, 5), np.float32)  # weight, weight * offset along the normal, weight * normal
-    for verdict in map_ahead(lambda view: _verdict(points, view, rules, tolerance), views, threads):
+    for verdict in map_ahead(lambda view: _verdict(points, view, rules, tolerance, reach), views, threads):
         against[verdict.contradicted] += 1
         confirming[verdict.confirmed] += 1
         sums[verdict.confirmed] += verdict.weights[:, None] * np.column_stack(
@@ -89,7 +89,7 @@ class _Verdict:
     normals: np.ndarray
 
 
-def _verdict(points: OrientedPoints, view: SurfaceView, rules: PixelRules, tolerance: float) -> _Verdict:
+def _verdict(points: OrientedPoints, view: SurfaceView, rules: PixelRules, tolerance: float, reach: float) -> _Verdict:
     camera = view.camera
     index, pixels, depths = project(camera, points.positions)
     rays = (points.positions[index] - camera.center.astype(np.float32)) / depths[:, None]
@@ -101,7 +101,7 @@ def _verdict(points: OrientedPoints, view: SurfaceView, rules: PixelRules, toler
         depth = np.where(view.mask, depth, 0)  # nearer than any point, so the view is silent there
     # The nearest of the 3x3 pixels around, so that the background does not contradict a point at a silhouette.
     contradicted = index[nearest(minimum_filter(depth, size=3), pixels) - depths > limit]
-    limit = REACH * limit
+    limit = reach * limit
     # Interpolation is slow, so it is limited to candidates. It may shift a slanted surface, hence the factor 2.
     near = (cosines > rules.min_cos / 2) & (np.abs(nearest(depth, pixels) - depths) < 2 * limit)
     seen = sample(_weighted_surface(view, rules), pixels[near])

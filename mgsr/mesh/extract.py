@@ -12,7 +12,7 @@ from mgsr.data.scene import View
 from mgsr.data.silhouettes import Silhouette
 from mgsr.errors import MeshError
 from mgsr.geometry.mesh import Mesh
-from mgsr.mesh.colors import TOLERANCE, vertex_colors
+from mgsr.mesh.colors import vertex_colors
 from mgsr.mesh.consistency import SilhouetteHull, compare_views
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
@@ -57,14 +57,14 @@ def extract_mesh(
         raise MeshError(_nothing_seen(views, config))
     hull = SilhouetteHull(silhouettes) if silhouettes and config.hull_margin is not None else None
     photos = PhotoSet(photographs, silhouettes, threads, expert.shading.observations)
-    context = StepContext(views, photos, config, footprint, hull, TimeLeft(go_on), ground)
+    context = StepContext(views, photos, config, footprint, hull, TimeLeft(go_on), ground, expert.mesh)
     extract = {Extractor.POISSON: _by_poisson, Extractor.TSDF: _by_tsdf}[config.extractor]
     trained = extract(context)
     chosen = None if start is None else _better_start(start, trained, context, expert)
     mesh, light, reports = take_steps(
         trained if chosen is None else chosen, context, mesh_steps(expert) if steps is None else steps
     )
-    colors = vertex_colors(mesh, views, config.min_alpha, _tolerance(config), threads)
+    colors = vertex_colors(mesh, views, config.min_alpha, _tolerance(context), threads, expert.mesh.colors)
     return ReconstructedMesh(mesh.vertices, mesh.faces, colors, light.kind, chosen is not None, reports).with_normals(
         mesh.normals
     )
@@ -89,17 +89,17 @@ def _better_start(start: Mesh, trained: Mesh, context: StepContext, expert: Expe
 
     Returns None if the trained surface stays.
     """
-    photos, config = context.photos, context.config
+    photos, config, options = context.photos, context.config, context.options
     if not photos.views or not len(trained.faces):
         return None
-    if is_torn(trained, start):
-        return fit_to_views(start, context.views, _rules(config), _tolerance(config), photos.threads)
+    if is_torn(trained, start, options.choice.tears):
+        return fit_to_views(start, context.views, _rules(config), _tolerance(context), photos.threads, options)
     return start if photographs_prefer_start(start, trained, photos, expert) else None
 
 
-def _tolerance(config: MeshConfig) -> float:
+def _tolerance(context: StepContext) -> float:
     """Return the depth tolerance between views, in pixel footprints."""
-    return config.consistency or TOLERANCE
+    return context.config.consistency or context.options.colors.tolerance
 
 
 def _rules(config: MeshConfig) -> PixelRules:
@@ -108,16 +108,18 @@ def _rules(config: MeshConfig) -> PixelRules:
 
 def _by_poisson(context: StepContext) -> Mesh:
     views, config, hull, threads = context.views, context.config, context.hull, context.photos.threads
-    cell = cell_size(_extent(views, config), config.poisson_depth)
+    options = context.options
+    cell = cell_size(_extent(views, config), config.poisson_depth, options.poisson_margin)
     points = gather_points(views, max(config.cell * cell, context.footprint), _rules(config), threads)
     if config.consistency is not None:
-        agreement = compare_views(points, views, _rules(config), config.consistency, threads)
+        reach = options.confirm_reach
+        agreement = compare_views(points, views, _rules(config), config.consistency, threads, reach)
         points = agreement.moved.where(agreement.agreed)
     if hull is not None:
         points = points.where(hull.excess(points.positions, config.hull_margin or 0) == 0)
     if len(points) < 4:
         raise MeshError(_all_dropped(config))
-    mesh = poisson_surface(points, config.poisson_depth)
+    mesh = poisson_surface(points, config.poisson_depth, options.poisson_margin)
     return mesh if config.close_holes else trim_unsupported(mesh, points, config.trim * cell)
 
 

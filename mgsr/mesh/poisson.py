@@ -5,21 +5,25 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mgsr.config.expert import MeshOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.points import OrientedPoints
 from mgsr.open3d_library import load_open3d
 
-MARGIN = 1.1  # side of the octree's cube, relative to the points' bounding box
 
+def cell_size(extent: float, depth: int, margin: float = MeshOptions().poisson_margin) -> float:
+    """Return the size of the finest octree cell for points within a box whose longest side is `extent`.
 
-def cell_size(extent: float, depth: int) -> float:
-    """Return the size of the finest octree cell for points within a box whose longest side is `extent`."""
-    size: float = MARGIN * extent / 2**depth
+    margin: the side of the octree's cube, relative to that box.
+    """
+    size: float = margin * extent / 2**depth
     return size
 
 
-def poisson_surface(points: OrientedPoints, depth: int) -> Mesh:
-    """Reconstruct the closed surface of oriented points, in their frame; depth: the octree's levels.
+def poisson_surface(points: OrientedPoints, depth: int, margin: float = MeshOptions().poisson_margin) -> Mesh:
+    """Reconstruct the closed surface of oriented points, in their frame.
+
+    depth: the octree's levels. margin: the side of its cube, relative to the points' bounding box.
 
     It runs on one thread, as several would sum in a different order each time and change the vertices.
 
@@ -30,7 +34,7 @@ def poisson_surface(points: OrientedPoints, depth: int) -> Mesh:
     cloud.points = open3d.utility.Vector3dVector(points.positions.astype(np.float64))
     cloud.normals = open3d.utility.Vector3dVector(points.normals.astype(np.float64))
     mesh, _ = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
-        cloud, depth=depth, scale=MARGIN, linear_fit=False, n_threads=1
+        cloud, depth=depth, scale=margin, linear_fit=False, n_threads=1
     )
     return Mesh(np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64))
 

@@ -10,11 +10,12 @@ import cv2
 import numpy as np
 
 from mgsr.config import MeshConfig
+from mgsr.config.expert import ColorOptions
 from mgsr.errors import MeshError
 from mgsr.geometry.decimate import decimate
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster, RayHits
-from mgsr.mesh.colors import TOLERANCE, seen_colors
+from mgsr.mesh.colors import seen_colors
 from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.mesh.views import SurfaceView
 
@@ -24,8 +25,6 @@ _PADDING = 4
 # Texels in a batch, to bound the memory for all views' samples.
 _TEXELS_AT_ONCE = 1 << 19
 _ROWS_AT_ONCE = 256
-# Pixel footprints by which the depths around a pixel may differ; more is an occlusion edge.
-_EDGE = 10.0
 
 
 def require_unfolding() -> None:
@@ -44,6 +43,7 @@ def texture_mesh(
     max_faces: int | None,
     config: MeshConfig,
     threads: int | None = None,
+    options: ColorOptions = ColorOptions(),
 ) -> TexturedMesh:
     """Reduce the mesh to `max_faces`, and compute its texture of side x side texels.
 
@@ -60,8 +60,9 @@ def texture_mesh(
     origin, corners, uvs = _unfold(plain, side)
     blank = np.zeros((side, side, 3), np.uint8)
     unfolded = TexturedMesh(plain.vertices[origin], corners, uvs, blank).with_normals(plain.normals[origin])
-    visible = [_with_depth_of(plain.caster, view) for view in views]
-    return replace(unfolded, picture=_paint(unfolded, mesh, visible, config, threads)).with_normals(unfolded.normals)
+    visible = [_with_depth_of(plain.caster, view, options.occlusion_edge) for view in views]
+    picture = _paint(unfolded, mesh, visible, config, threads, options)
+    return replace(unfolded, picture=picture).with_normals(unfolded.normals)
 
 
 def _unfold(mesh: Mesh, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -83,18 +84,21 @@ def _unfold(mesh: Mesh, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return origin.astype(np.int64), corners.astype(np.int64), uvs
 
 
-def _with_depth_of(caster: RayCaster, view: SurfaceView) -> SurfaceView:
+def _with_depth_of(caster: RayCaster, view: SurfaceView, edge: float) -> SurfaceView:
     """Replace a view's depth by the mesh's, and mask out pixels at occlusion edges, which mix two colours."""
     hits = caster.cast(view.camera)
-    inside = _inside(hits, view)
+    inside = _inside(hits, view, edge)
     return replace(view, depth=hits.depth, mask=inside if view.mask is None else inside & view.mask)
 
 
-def _inside(hits: RayHits, view: SurfaceView) -> np.ndarray:
-    """Return the pixels [H,W] bool that show the surface away from its occlusion edges."""
+def _inside(hits: RayHits, view: SurfaceView, edge: float) -> np.ndarray:
+    """Return the pixels [H,W] bool that show the surface away from its occlusion edges.
+
+    edge: the pixel footprints by which the depths around a pixel may differ; more is an occlusion edge.
+    """
     around = np.ones((3, 3), np.uint8)
     nearest, farthest = cv2.erode(hits.depth, around), cv2.dilate(hits.depth, around)
-    inside: np.ndarray = (nearest > 0) & (farthest - nearest <= _EDGE * hits.depth / view.camera.K[0, 0])
+    inside: np.ndarray = (nearest > 0) & (farthest - nearest <= edge * hits.depth / view.camera.K[0, 0])
     return inside
 
 
@@ -104,13 +108,14 @@ def _paint(
     views: Sequence[SurfaceView],
     config: MeshConfig,
     threads: int | None,
+    options: ColorOptions,
 ) -> np.ndarray:
     """Return the texture [S,S,3] uint8 sRGB.
 
     Texels whose centres lie on a chart take their colours from the views; the others take the nearest such texel's.
     """
     side = len(unfolded.picture)
-    tolerance = config.consistency or TOLERANCE
+    tolerance = config.consistency or options.tolerance
     texels, faces, shares = _charted(unfolded, side)
     corners = unfolded.faces[faces]
     plain = _VertexColors(mesh)
@@ -120,7 +125,7 @@ def _paint(
         points = _blend(unfolded.vertices, corners[part], shares[part])
         normals = _blend(unfolded.normals, corners[part], shares[part])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-        colors, seen = seen_colors(points, normals, views, config.min_alpha, tolerance, threads)
+        colors, seen = seen_colors(points, normals, views, config.min_alpha, tolerance, threads, options)
         colors[~seen] = plain.at(points[~seen])
         painted[part] = colors
     picture = np.zeros((side * side, 3), np.uint8)

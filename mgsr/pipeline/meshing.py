@@ -44,7 +44,8 @@ def make_mesh(
     to_user = scene.user_from_scene.to_user
     textured = None
     if config.output.texture is not None:
-        textured = texture_mesh(mesh, views, config.output.texture, config.output.texture_faces, config.mesh)
+        side, faces, colors = config.output.texture, config.output.texture_faces, config.expert.mesh.colors
+        textured = texture_mesh(mesh, views, side, faces, config.mesh, options=colors)
         textured = textured.in_frame(to_user(textured.vertices))
     mesh = mesh.in_frame(to_user(mesh.vertices))
     return replace(mesh, textured=textured).with_normals(mesh.normals)

@@ -117,7 +117,7 @@ def _at_one_exposure(
     points: chooses the starting points during a step; None leaves them as they are.
     """
     with step("exposures", "comparing the photographs' exposures"):
-        exposures = find_exposures(scene, start, config.seed, step.should_stop)
+        exposures = find_exposures(scene, start, config.seed, step.should_stop, config.expert)
         if exposures is None:
             return scene, start
         scene = evened(scene, exposures)
@@ -184,7 +184,8 @@ def _learn_masks(scene: Scene, config: Config, step: Steps) -> list[np.ndarray] 
         return None
     text = "learning where the object ends"
     with step("outlines", text):
-        masks = learned_outlines(scene, config.seed, step.should_stop, step.share("outlines", text))
+        progress = step.share("outlines", text)
+        masks = learned_outlines(scene, config.seed, step.should_stop, progress, config.expert)
     if masks is None:
         step.progress(Event("outlines", "what splats cover there is no object: the start goes without outlines"))
     return masks

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from mgsr.config import Config, WatchConfig
+from mgsr.config.expert import MeshOptions
 from mgsr.data.scene import Scene, View
 from mgsr.errors import CheckpointError, in_short
 
@@ -28,8 +29,8 @@ def fingerprint(scene: Scene, config: Config) -> dict[str, str]:
     digest = hashlib.sha256()
     for view in scene.train:
         digest.update(_view_bytes(view))
-    train = replace(config.train, watch=WatchConfig())
-    settings = repr((config.method, config.seed, config.data, train, config.expert, config.time_budget is None))
+    train, expert = replace(config.train, watch=WatchConfig()), replace(config.expert, mesh=MeshOptions())
+    settings = repr((config.method, config.seed, config.data, train, expert, config.time_budget is None))
     return {"scene": digest.hexdigest(), "settings": hashlib.sha256(settings.encode()).hexdigest()}
 
 

@@ -15,7 +15,8 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from mgsr.config import Background
+from mgsr.config import Background, ExpertConfig
+from mgsr.config.expert import ExposureOptions
 from mgsr.data.exposure import at_common_exposure, brightness_jumps
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.data.scene import Exposures, Scene, View
@@ -26,50 +27,45 @@ from mgsr.start.points import StartingPoints
 from mgsr.training.evaluate import gaussian_picture
 from mgsr.training.proxy_model import small_view, train_proxy_model
 
-DEGREES = 0, 2  # candidate harmonic degrees; a matte scene is fitted better without harmonics
-ITERATIONS, ROUNDS = 150, 3  # iterations of each training, and rounds that reuse the factors found so far
-HELD_BACK = 4  # one view in this many is held out from a training
-JUDGED = 12  # the least number of views; with fewer, exposures are not estimated
-JUMPS = 0.07  # brightness change between neighbours below which exposures count as equal (see `brightness_jumps`)
-PAYS = 0.5  # dB that a factor must gain on the other half of the held-out views
-FAINT = 0.3  # fraction of the median light; fainter pixels are ignored
-ENOUGH = 20  # pixels to fit a factor to
-CLIPPED = 250  # of 255; brighter pixels hide how bright they were
 DIGITS = 5  # of a factor
-WHITE = 0.9  # rendered light times factor above which the photograph may be clipped
 
 
 def find_exposures(
-    scene: Scene, start: StartingPoints, seed: int, should_stop: Callable[[], bool] = lambda: False
+    scene: Scene,
+    start: StartingPoints,
+    seed: int,
+    should_stop: Callable[[], bool] = lambda: False,
+    expert: ExpertConfig = ExpertConfig(),
 ) -> Exposures | None:
     """Estimate each photograph's exposure, with a geometric mean of 1 over the training views.
 
     Returns None where exposures are equal, or can't be separated from lighting effects. The same seed gives the same
-    factors, on any number of cores.
+    factors, on any number of cores. expert: the options of all algorithms.
 
     Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """
-    if len(scene.train) < JUDGED or brightness_jumps(scene.train) < JUMPS:
+    options = expert.training.exposure
+    if len(scene.train) < options.min_views or brightness_jumps(scene.train) < options.min_jump:
         return None
-    small = [small_view(view) for view in scene.train]
+    degrees, small = (0, options.degree), [small_view(view, options.proxy.side) for view in scene.train]
     with one_torch_thread():
-        errors = {degree: _kept_errors(scene, start, small, degree, seed, should_stop) for degree in DEGREES}
-        degree = min(DEGREES, key=lambda each: float(errors[each][1]))
-        if errors[degree][0] - errors[degree][1] < PAYS:
+        errors = {degree: _kept_errors(scene, start, small, degree, seed, should_stop, options) for degree in degrees}
+        degree = min(degrees, key=lambda each: float(errors[each][1]))
+        if errors[degree][0] - errors[degree][1] < options.min_gain:
             return None
-        tests = [small_view(view) for view in scene.test]
+        tests = [small_view(view, options.proxy.side) for view in scene.test]
         if degree == 0 or not scene.masked:
-            told = point_exposures(small, tests, start.positions, start.normals)
+            told = point_exposures(small, tests, start.positions, start.normals, expert.start.exposures)
             if told is not None:
                 return _rounded(told, len(small))
         factors = np.ones((len(small), 3))
-        for _ in range(ROUNDS):
+        for _ in range(options.rounds):
             even = [at_common_exposure(view, factor) for view, factor in zip(small, factors, strict=True)]
-            picture = _trained(scene, start, even, degree, seed, should_stop)
-            factors = np.stack([_factor(view, picture(view)) for view in small])
+            picture = _trained(scene, start, even, degree, seed, should_stop, options)
+            factors = np.stack([_factor(view, picture(view), options) for view in small])
             mean = np.exp(np.log(factors).mean(axis=0))
             factors /= mean
-        of_tests = [_factor(view, picture(view)) / mean for view in tests]
+        of_tests = [_factor(view, picture(view), options) / mean for view in tests]
     return _rounded(np.concatenate([factors, np.reshape(of_tests, (-1, 3))]), len(small))
 
 
@@ -82,29 +78,43 @@ def _rounded(factors: np.ndarray, train: int) -> Exposures:
 
 
 def _kept_errors(
-    scene: Scene, start: StartingPoints, small: list[View], degree: int, seed: int, should_stop: Callable[[], bool]
+    scene: Scene,
+    start: StartingPoints,
+    small: list[View],
+    degree: int,
+    seed: int,
+    should_stop: Callable[[], bool],
+    options: ExposureOptions,
 ) -> np.ndarray:
     """Return the mean `_errors` [2] of held-out views.
 
-    Every HELD_BACK-th view is held out, then others in the same way, until at least JUDGED views were held out: a mean
-    over fewer is unreliable.
+    One view in `held_out` is held out, then others in the same way, until at least `min_views` views were held out: a
+    mean over fewer is unreliable.
     """
     errors: list[tuple[float, float]] = []
-    for first in (1, 2, 3, 0):
-        kept = small[first::HELD_BACK]
-        seen = [view for index, view in enumerate(small) if index % HELD_BACK != first]
-        picture = _trained(scene, start, seen, degree, seed, should_stop)
-        errors += [_errors(view, picture(view)) for view in kept]
-        if len(errors) >= JUDGED:
+    for first in (*range(1, options.held_out), 0):
+        kept = small[first :: options.held_out]
+        seen = [view for index, view in enumerate(small) if index % options.held_out != first]
+        picture = _trained(scene, start, seen, degree, seed, should_stop, options)
+        errors += [_errors(view, picture(view), options) for view in kept]
+        if len(errors) >= options.min_views:
             break
     return np.asarray(np.mean(errors, axis=0))
 
 
 def _trained(
-    scene: Scene, start: StartingPoints, views: list[View], degree: int, seed: int, should_stop: Callable[[], bool]
+    scene: Scene,
+    start: StartingPoints,
+    views: list[View],
+    degree: int,
+    seed: int,
+    should_stop: Callable[[], bool],
+    options: ExposureOptions,
 ) -> Callable[[View], np.ndarray]:
     """Train Gaussians on some views, and return a function that renders a view in linear light [H,W,3]."""
-    model = train_proxy_model(scene, start, views, degree, ITERATIONS, seed, "exposures", should_stop)
+    model = train_proxy_model(
+        scene, start, views, degree, options.iterations, seed, "exposures", should_stop, options=options.proxy
+    )
     picture, behind = gaussian_picture(TrainedModel(None, model)), scene.backdrop(Background.AUTO)
 
     @torch.no_grad()
@@ -114,12 +124,12 @@ def _trained(
     return light
 
 
-def _errors(view: View, rendered: np.ndarray) -> tuple[float, float]:
+def _errors(view: View, rendered: np.ndarray, options: ExposureOptions) -> tuple[float, float]:
     """Return the errors of a view's rendering [H,W,3], in dB, as it is and after a gain.
 
     The gain of each half of the view's pixels is fitted to the other half.
     """
-    usable = _usable(view)
+    usable = _usable(view, options)
     columns = np.broadcast_to(np.arange(usable.shape[1]), usable.shape)
     if not usable.any():
         return 0.0, 0.0
@@ -127,7 +137,7 @@ def _errors(view: View, rendered: np.ndarray) -> tuple[float, float]:
     before, after = 0.0, 0.0
     for half in (left, ~left):
         wanted = view.image[usable & half] / 255.0
-        factor = _fitted(view, rendered, usable & ~half)
+        factor = _fitted(view, rendered, usable & ~half, options)
         if not len(wanted) or factor is None:
             return 0.0, 0.0
         there = rendered[usable & half]
@@ -136,21 +146,21 @@ def _errors(view: View, rendered: np.ndarray) -> tuple[float, float]:
     return 10 * float(np.log10(max(before, 1e-9))), 10 * float(np.log10(max(after, 1e-9)))
 
 
-def _factor(view: View, rendered: np.ndarray) -> np.ndarray:
+def _factor(view: View, rendered: np.ndarray, options: ExposureOptions) -> np.ndarray:
     """Return the factor [3] of a view's light against its rendering's [H,W,3]; 1 where too little can be compared."""
-    fitted = _fitted(view, rendered, _usable(view))
+    fitted = _fitted(view, rendered, _usable(view, options), options)
     return np.ones(3) if fitted is None else fitted
 
 
-def _usable(view: View) -> np.ndarray:
+def _usable(view: View, options: ExposureOptions) -> np.ndarray:
     """Return the pixels [H,W] bool that are valid, of the object alone, and not clipped."""
-    usable = (view.image < CLIPPED).all(axis=-1)
+    usable = (view.image < options.clipped).all(axis=-1)
     if view.alpha is not None:
-        usable &= view.alpha >= CLIPPED
+        usable &= view.alpha >= options.clipped
     return np.asarray(usable if view.valid_mask is None else usable & view.valid_mask)
 
 
-def _fitted(view: View, rendered: np.ndarray, usable: np.ndarray) -> np.ndarray | None:
+def _fitted(view: View, rendered: np.ndarray, usable: np.ndarray, options: ExposureOptions) -> np.ndarray | None:
     """Fit the factor [3] by which the photograph's linear light exceeds the rendering's [H,W,3] at usable pixels.
 
     usable [H,W] bool. Relative errors count, large ones as if they were 1.5 deviations (Huber). None for too few
@@ -160,8 +170,8 @@ def _fitted(view: View, rendered: np.ndarray, usable: np.ndarray) -> np.ndarray 
     for channel in range(3):
         wanted = srgb_to_linear(view.image[..., channel][usable] / 255.0)
         there = rendered[..., channel][usable]
-        bright = there > FAINT * np.median(there) if len(there) else np.zeros(0, bool)
-        if bright.sum() < ENOUGH:
+        bright = there > options.faint * np.median(there) if len(there) else np.zeros(0, bool)
+        if bright.sum() < options.min_pixels:
             return None
         wanted, there = wanted[bright], there[bright]
         found = float(np.median(wanted) / np.median(there))
@@ -170,7 +180,7 @@ def _fitted(view: View, rendered: np.ndarray, usable: np.ndarray) -> np.ndarray 
                 return None
             error = wanted / (found * there) - 1
             spread = max(1.4826 * float(np.median(np.abs(error))), 1e-3)
-            weight = np.minimum(1, 1.5 * spread / np.maximum(np.abs(error), 1e-9)) * (found * there < WHITE)
+            weight = np.minimum(1, 1.5 * spread / np.maximum(np.abs(error), 1e-9)) * (found * there < options.white)
             if not weight.any():
                 return None
             found = float((weight * wanted / there).sum() / weight.sum())

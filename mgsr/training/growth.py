@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 
 from mgsr.config import GaussianConfig
+from mgsr.config.expert import ErrorGrowthOptions
 from mgsr.data.backdrop import Color
 from mgsr.densify.error_driven import (
     ViewResidual,
@@ -28,13 +29,14 @@ from mgsr.training.views import TrainingView, color_tensor
 class ErrorGrowth:
     """The growth of `branch`, a branch of `train_state`.
 
-    behind: the colour on which renderings are judged.
+    behind: the colour on which renderings are judged. options: of the growth by errors.
     """
 
     branch: GaussianBranch
     train_state: TrainState
     config: GaussianConfig
     behind: Color
+    options: ErrorGrowthOptions = ErrorGrowthOptions()
 
     def grow(self, views: Sequence[TrainingView]) -> None:
         """Prune, and then replace and add Gaussians by what some of the views show.
@@ -45,9 +47,10 @@ class ErrorGrowth:
         branch.adapt(grow=False)
         drawn = torch.randperm(len(views), generator=branch.generator)[: densify.growth_views].tolist()
         rendered = [self._rendered(views[index]) for index in drawn]
-        error = [visible_error(view, densify.tolerance) for view in rendered]
+        error = [visible_error(view, densify.tolerance, self.options) for view in rendered]
         replaced, added = planned_changes(error, len(branch.model), densify)
-        points = not_contradicted(new_points(rendered, error, replaced + added, branch.generator), rendered)
+        found = new_points(rendered, error, replaced + added, branch.generator)
+        points = not_contradicted(found, rendered, self.options.hidden)
         if not len(points.positions):
             return
         kept = without_least_contributing(branch.model, rendered, min(replaced, len(points.positions)))

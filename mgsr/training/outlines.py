@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from mgsr.config import ExpertConfig
 from mgsr.data.images import to_uint8
 from mgsr.data.masks import leave_borders_free, with_masks
 from mgsr.data.scene import Scene, View
@@ -26,13 +27,7 @@ from mgsr.parallel import one_torch_thread
 from mgsr.renderers.gaussians import render_gaussians
 from mgsr.start.points import StartingPoints
 from mgsr.start.starting_points import ball_points, hull_points
-from mgsr.training.proxy_model import POINTS, SIDE, small_view, train_proxy_model
-
-DEGREE = 2  # of the colours' harmonics
-ROUGH_ITERATIONS, ITERATIONS = 800, 1600  # first and second branch
-ROUGH_SIDE = 64  # pixels a side of the first branch's photographs
-OPACITY_COST = 0.4  # first branch: half of it leaves fog around shiny objects, twice as much erodes thin parts
-VOXELS = 64  # a side, of the rough hull
+from mgsr.training.proxy_model import small_view, train_proxy_model
 
 
 def learned_outlines(
@@ -40,11 +35,13 @@ def learned_outlines(
     seed: int,
     should_stop: Callable[[], bool] = lambda: False,
     progress: Callable[[float], None] = lambda done: None,
+    expert: ExpertConfig = ExpertConfig(),
 ) -> list[np.ndarray] | None:
     """Learn masks [H,W] uint8 of the training views of a scene that has a plain backdrop and no masks.
 
     Returns None where the splats outline no object: their masks have no common hull, or cover the images' borders. The
     same seed gives the same masks, on any number of cores. progress: called with the completed share, 0..1.
+    expert: the options of all algorithms.
 
     Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """
@@ -52,21 +49,26 @@ def learned_outlines(
     def learned(
         start: StartingPoints, views: list[View], iterations: int, cost: float, told: Callable[[float], None]
     ) -> GaussianModel:
-        return train_proxy_model(scene, start, views, DEGREE, iterations, seed, "outlines", should_stop, told, cost)
+        stop, degree = should_stop, options.degree
+        return train_proxy_model(scene, start, views, degree, iterations, seed, "outlines", stop, told, cost, proxy)
 
-    share = ROUGH_ITERATIONS / (ROUGH_ITERATIONS + ITERATIONS)
+    options, proxy = expert.training.outlines, expert.training.outlines.proxy
+    share = options.rough_iterations / (options.rough_iterations + options.iterations)
     with one_torch_thread():
-        views = [small_view(view, ROUGH_SIDE) for view in scene.train]
-        start = ball_points(views, POINTS, seed)
-        rough = learned(start, views, ROUGH_ITERATIONS, OPACITY_COST, lambda done: progress(share * done))
+        views = [small_view(view, options.rough_side) for view in scene.train]
+        start = ball_points(views, proxy.points, seed, expert.start.colors)
+        rough = learned(
+            start, views, options.rough_iterations, options.opacity_cost, lambda done: progress(share * done)
+        )
         try:
-            masks = _opacities(rough, views, ROUGH_SIDE)
-            start = hull_points(with_masks(replace(scene, train=views), masks), POINTS, seed, VOXELS)
+            masks = _opacities(rough, views, options.rough_side)
+            masked = with_masks(replace(scene, train=views), masks)
+            start = hull_points(masked, proxy.points, seed, options.voxels, expert.start)
         except SceneError:
             return None
-        views = [small_view(view) for view in scene.train]
-        fine = learned(start, views, ITERATIONS, 0.0, lambda done: progress(share + (1 - share) * done))
-        masks = _opacities(fine, scene.train, SIDE)
+        views = [small_view(view, proxy.side) for view in scene.train]
+        fine = learned(start, views, options.iterations, 0.0, lambda done: progress(share + (1 - share) * done))
+        masks = _opacities(fine, scene.train, proxy.side)
     return masks if leave_borders_free(masks) else None
 
 

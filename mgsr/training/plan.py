@@ -114,14 +114,16 @@ def make_plan(
     train_state = make_train_state(scene, start, config, reflection, tried, device)
     gaussians, growth = gaussian_settings(config.train.gaussians, scene.masked), None
     if train_state.gaussians is not None and gaussians.densify.by is Growth.ERROR:
-        growth = ErrorGrowth(train_state.gaussians, train_state, gaussians, behind.color)
+        options = config.expert.densify.error_growth
+        growth = ErrorGrowth(train_state.gaussians, train_state, gaussians, behind.color, options)
     stages: list[Stage] = []
     last = _last_stage(train_state, photographs.views, stages, config)
     last.growth = growth
     clearance = None
     if not scene.masked and config.train.clearance:
         cameras = [view.camera for view in scene.train]
-        clearance = Clearance.around(cameras, start.positions, config.train.clearance)
+        share, rank = config.train.clearance, config.expert.densify.clearance_rank
+        clearance = Clearance.around(cameras, start.positions, share, rank)
     if train_state.surfels is not None:
         stages.append(_surfel_warmup(train_state, photographs, last, config))
     if train_state.gaussians is not None:

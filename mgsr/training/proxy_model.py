@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mgsr.config import Reflection, make_config
+from mgsr.config.expert import ProxyModelOptions
 from mgsr.data.backdrop import Color
 from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene, View
@@ -20,11 +21,8 @@ from mgsr.training.train_state import make_train_state, seeded
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU, TrainingView, ViewCycle, prepare_views
 
-SIDE, POINTS = 128, 4000  # pixels of the photographs, unless asked otherwise, and Gaussians
-RATES = 0.2  # constant position 0..1 between a warm-up's first and last learning rates
 
-
-def small_view(view: View, side: int = SIDE) -> View:
+def small_view(view: View, side: int = ProxyModelOptions().side) -> View:
     """Reduce a view to the size that a proxy model is trained on: its longer side has at most `side` pixels."""
     return reduced_view(view, min(1.0, side / max(view.camera.width, view.camera.height)))
 
@@ -40,6 +38,7 @@ def train_proxy_model(
     should_stop: Callable[[], bool] = lambda: False,
     progress: Callable[[float], None] = lambda done: None,
     opacity_cost: float = 0.0,
+    options: ProxyModelOptions = ProxyModelOptions(),
 ) -> GaussianModel:
     """Train a proxy model: some of the starting points as Gaussians, on small views of the scene.
 
@@ -52,7 +51,7 @@ def train_proxy_model(
     kind = ["branches=gaussians", "reflection=off", f"gaussians.sh_degree={degree}", "tv=off"]
     settings = make_config(seed=seed, overrides=[*kind, "gaussians.densify.by=gradient"])
     train_state = make_train_state(
-        replace(scene, train=views), _few(start, views, seed), settings, Reflection.OFF, False, CPU
+        replace(scene, train=views), _few(start, views, seed, options.points), settings, Reflection.OFF, False, CPU
     )
     branch = train_state.gaussians
     assert branch is not None
@@ -66,15 +65,15 @@ def train_proxy_model(
         return replace(step, loss=step.loss.plus("opacity", opacity_cost * branch.model.opacities().mean()))
 
     prepared = prepare_views(views, scene.masked)
-    stage = Stage(name, [branch], iterations, prepared, cycle, compute, lambda _: (1, 0), lambda *_: RATES)
+    stage = Stage(name, [branch], iterations, prepared, cycle, compute, lambda _: (1, 0), lambda *_: options.rates)
     plan = Plan(train_state, [stage], [], scene.backdrop(settings.train.background))
     Trainer(plan, settings.train, {}, should_stop=should_stop, progress=lambda report: progress(report.done)).run()
     return branch.model
 
 
-def _few(start: StartingPoints, views: Sequence[View], seed: int) -> StartingPoints:
+def _few(start: StartingPoints, views: Sequence[View], seed: int, count: int) -> StartingPoints:
     """Draw some of the starting points, in the colours of some views."""
-    rows = np.sort(np.random.default_rng(seed).permutation(len(start.positions))[:POINTS])
+    rows = np.sort(np.random.default_rng(seed).permutation(len(start.positions))[:count])
     positions = start.positions[rows]
     normals = None if start.normals is None else start.normals[rows]
     return StartingPoints(positions, seen_colors(views, positions, normals), start.source, normals)

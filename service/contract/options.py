@@ -107,7 +107,7 @@ def find_setting(key: str) -> str:
         raise ValueError(f"setting {key!r} is ambiguous: say one of {', '.join(hits)}")
     if (name := _renamed(key[:100])) != key[:100]:
         raise ValueError(f"setting {key[:100]!r} does not exist; write {name!r}")
-    last = {path.rpartition(".")[2]: path for path in SETTINGS}
+    last = {path.rpartition(".")[2]: path for path in reversed(SETTINGS)}  # the first ones are those that users set
     near = [last[name] for name in difflib.get_close_matches(key.rpartition(".")[2], last, n=3, cutoff=0.5)]
     hint = f"did you mean {', '.join(near)}?" if near else "GET /options lists them"
     raise ValueError(f"setting {key[:100]!r} does not exist; {hint}")

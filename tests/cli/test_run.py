@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from scipy.spatial import cKDTree
 from typer.testing import CliRunner
 
 from mgsr.cli.main import app
-from mgsr.config import DataConfig, GaussianConfig, OutputConfig
+from mgsr.config import DataConfig, ExpertConfig, GaussianConfig, OutputConfig
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.export.splats import load_splats
@@ -104,6 +105,7 @@ def test_the_report_has_its_fields(done: Path) -> None:
     assert (report["device"], report["seed"]) == ("cpu", 0)
     assert report["iterations"]["mutual"] == {"iterations": 60, "stopped": "iterations", "dropped": 0}
     assert set(report["gaussians"]) == {"surfels", "gaussians"}
+    assert report["settings"]["expert"] == asdict(ExpertConfig())
     assert report["psnr_test"] > 20 and 0 < report["ssim_test"] < 1
     assert {"seconds", "stage", "iteration", "psnr", "surfels", "gaussians"} <= set(report["curve"][0])
     faces = trimesh.load_mesh(done / "mesh.ply", process=False).faces

@@ -24,6 +24,7 @@ def test_single_points_near_a_camera_do_not_count() -> None:
     cameras = [view.camera for view in ball_scene(24, train=6).train]
     points = np.concatenate([np.zeros((20, 3)), cameras[0].center[None] + 0.1])
     assert float(Clearance.around(cameras, points, 0.5).radii.min()) > 1.2
+    assert float(Clearance.around(cameras, points, 0.5, rank=1).radii.min()) < 0.1, "unless the first one is asked for"
 
 
 def test_only_scenes_without_masks_are_cleared() -> None:

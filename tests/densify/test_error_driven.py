@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from mgsr.config import GaussianDensifyConfig, Growth, gaussian_settings, make_config
+from mgsr.config.expert import ErrorGrowthOptions
 from mgsr.data.camera import Camera
 from mgsr.densify.contribution import contributions
 from mgsr.densify.error_driven import (
@@ -21,7 +22,9 @@ from mgsr.densify.error_driven import (
 )
 from mgsr.errors import ConfigError
 from mgsr.gaussians.start import new_gaussians, start_gaussians
-from tests.training.ball import ball_scene
+from mgsr.training.growth import ErrorGrowth
+from mgsr.training.plan import make_plan
+from tests.training.ball import ball_points, ball_scene
 
 HEIGHT, WIDTH = 20, 30
 CONFIG = make_config().train.gaussians
@@ -70,6 +73,22 @@ def test_pixels_without_a_surface_do_not_count() -> None:
     view = with_patch(0.9)
     view.alpha.zero_()
     assert not visible_error(view, 0.04).any()
+
+
+def test_options_of_what_counts() -> None:
+    """Check that an average over one pixel leaves a patch's border sharp, and that solid is from which alpha on."""
+    sharp = visible_error(with_patch(0.8), 0.04, ErrorGrowthOptions(half_window=0))
+    assert int((sharp > 0).sum()) == 25 < int((visible_error(with_patch(0.8), 0.04) > 0).sum())
+    view = with_patch(0.8)
+    view.alpha.fill_(0.5)
+    assert visible_error(view, 0.04).any() and not visible_error(view, 0.04, ErrorGrowthOptions(solid=0.6)).any()
+
+
+def test_growth_takes_its_options() -> None:
+    config = make_config(overrides=["error_growth.hidden=7"])
+    plan = make_plan(ball_scene(24, train=6), ball_points(300), config)
+    growth = [stage.growth for stage in plan.stages if isinstance(stage.growth, ErrorGrowth)]
+    assert growth and all(each.options.hidden == 7 for each in growth)
 
 
 def test_the_number_follows_the_differing_pixels_and_has_bounds() -> None:

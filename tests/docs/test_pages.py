@@ -69,7 +69,7 @@ def test_comments_that_go_on_belong_to_their_setting() -> None:
 
 def test_the_added_step_smooths_a_mesh() -> None:
     names: dict[str, Any] = {"__name__": __name__}
-    exec(program(CONTRIBUTING, "step"), names)
+    exec(compile(program(CONTRIBUTING, "step"), "step", "exec", dont_inherit=True), names)
     shape = ball(0.7)
     rough = shape.vertices * np.random.default_rng(0).uniform(0.99, 1.01, (len(shape.vertices), 1))
     result = names["SmoothOnce"]().run(Mesh(rough, np.asarray(shape.faces)), LightEstimate(), None)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mgsr.config import make_config
 from mgsr.data.exposure import brightness_jumps, evened
 from mgsr.data.scene import Exposures, Scene
 from mgsr.errors import Cancelled
@@ -47,10 +48,10 @@ def test_the_factors_are_found(masked: bool) -> None:
     assert jumps[2] > 0.25 and jumps[1] < jumps[0] + 0.06
 
 
-def test_light_that_moves_with_the_camera_is_no_exposure(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exposure, "JUMPS", 0.0)
+def test_light_that_moves_with_the_camera_is_no_exposure() -> None:
+    expert = make_config(overrides=["exposure.min_jump=0"]).expert
     for gloss in (0.0, 0.6):
-        assert find_exposures(ball_scene(size=40, train=24, test=4, gloss=gloss), START, seed=0) is None
+        assert find_exposures(ball_scene(size=40, train=24, test=4, gloss=gloss), START, seed=0, expert=expert) is None
 
 
 def test_nothing_is_trained_for_even_photographs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,11 +13,14 @@ from mgsr.config.expert.geometry import (
     LowFrequencyOptions,
 )
 from mgsr.config.expert.mesh import (
+    ColorOptions,
     CutAtGroundOptions,
     MeshOptions,
     MeshStepOptions,
     PullIntoHullOptions,
     RemoveContradictedOptions,
+    SurfaceChoiceOptions,
+    ViewFitOptions,
 )
 from mgsr.config.expert.shading import (
     DetailOptions,
@@ -53,21 +56,33 @@ from mgsr.config.expert.stereo import (
     PatchMatchOptions,
     StereoConfig,
 )
+from mgsr.config.expert.training import (
+    DensifyOptions,
+    ErrorGrowthOptions,
+    ExposureOptions,
+    OutlineOptions,
+    ProxyModelOptions,
+    TrainingOptions,
+)
 
 __all__ = [
     "BackgroundPointOptions",
     "BilateralOptions",
+    "ColorOptions",
     "ConsistencyOptions",
     "ContourOptions",
     "ContourSearchOptions",
     "CutAtGroundOptions",
+    "DensifyOptions",
     "DepthFillingOptions",
     "DetailOptions",
     "EnvironmentFitOptions",
     "EnvironmentNormalOptions",
     "EnvironmentOptions",
     "EnvironmentResidualOptions",
+    "ErrorGrowthOptions",
     "ExpertConfig",
+    "ExposureOptions",
     "FirstSurfaceOptions",
     "FlashFitOptions",
     "FlashOptions",
@@ -81,10 +96,12 @@ __all__ = [
     "MeshStepOptions",
     "ObservationOptions",
     "OcclusionOptions",
+    "OutlineOptions",
     "PatchMatchOptions",
     "PhotometricOptions",
     "PlaneSweepOptions",
     "PointExposureOptions",
+    "ProxyModelOptions",
     "PullIntoHullOptions",
     "RemoveContradictedOptions",
     "ResidualOptions",
@@ -93,5 +110,8 @@ __all__ = [
     "ShadingPass",
     "StartConfig",
     "StereoConfig",
+    "SurfaceChoiceOptions",
+    "TrainingOptions",
     "ViewColorOptions",
+    "ViewFitOptions",
 ]

@@ -9,6 +9,7 @@ from mgsr.config.expert.mesh import MeshOptions
 from mgsr.config.expert.shading import ShadingConfig
 from mgsr.config.expert.start import StartConfig
 from mgsr.config.expert.stereo import StereoConfig
+from mgsr.config.expert.training import DensifyOptions, TrainingOptions
 from mgsr.config.options import Options
 
 
@@ -20,4 +21,6 @@ class ExpertConfig(Options):
     shading: ShadingConfig = field(default_factory=ShadingConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     start: StartConfig = field(default_factory=StartConfig)
+    densify: DensifyOptions = field(default_factory=DensifyOptions)
+    training: TrainingOptions = field(default_factory=TrainingOptions)
     mesh: MeshOptions = field(default_factory=MeshOptions)

@@ -6,9 +6,10 @@ Pixels are those of the photographs on the surface; a footprint is what a pixel 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 from mgsr.config.expert.shading import ShadingPass
-from mgsr.config.options import NotNegative, Options, Share, WholeNumber
+from mgsr.config.options import NotNegative, Options, Positive, Range, Share, WholeNumber
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,43 @@ class MeshStepOptions(Options):
 
 
 @dataclass(frozen=True)
+class SurfaceChoiceOptions(Options):
+    """The choice between the trained surface and the first one."""
+
+    mirror_share: NotNegative = 0.95  # the first surface is better if its environment residual is at most this share of
+    # the trained one's
+    tears: WholeNumber = 40  # boundary loops plus twice the handles that a surface has more if it is torn; torn ones
+    # have hundreds
+    min_gain: NotNegative = 0.02  # photo-consistency by which the first surface must exceed the trained one
+
+
+@dataclass(frozen=True)
+class ViewFitOptions(Options):
+    """The registration of the first surface to the rendered views, where the trained surface is torn."""
+
+    prior_weight: Positive = 0.02  # of the position of a vertex that no view confirms; 1 for others
+    confidence: Share = 0.1  # in the normal of a vertex without a similar normal in the views; 1 for others
+    min_cosine: Share = 0.3  # least cosine between a vertex's normal and a similar one of the views' surface
+
+
+@dataclass(frozen=True)
+class ColorOptions(Options):
+    """The colours of vertices and texels, blended from the rendered views."""
+
+    deviation: Positive = 0.1  # sRGB 0..1; a colour this far from the mean counts half
+    rounds: WholeNumber = 2  # of reweighting
+    tolerance: Positive = 3.0  # footprints; the depth tolerance if the views' consistency is not checked
+    occlusion_edge: Positive = 10.0  # footprints by which the depths around a pixel of a texture may differ; more is an
+    # occlusion edge
+
+
+@dataclass(frozen=True)
 class MeshOptions(Options):
     """The mesh's extraction and finishing."""
 
+    poisson_margin: Annotated[float, Range(1)] = 1.1  # side of the octree's cube, relative to the points' bounding box
+    confirm_reach: Positive = 2.0  # times the tolerance; a view within it confirms a point: spans the depth noise alone
+    choice: SurfaceChoiceOptions = field(default_factory=SurfaceChoiceOptions)
+    view_fit: ViewFitOptions = field(default_factory=ViewFitOptions)
+    colors: ColorOptions = field(default_factory=ColorOptions)
     steps: MeshStepOptions = field(default_factory=MeshStepOptions)

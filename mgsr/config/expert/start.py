@@ -60,7 +60,7 @@ class PlaneSweepOptions(Options):
     neighbours: Annotated[int, Range(2)] = 4  # views to compare
     best_angle: Angle = 15.0  # degrees to the best neighbour, as seen from the scene's centre
     max_angle: Angle = 45.0  # degrees; views at a larger angle are no neighbours
-    window: Count = 5  # pixels along a side; an odd number
+    half_window: WholeNumber = 2  # pixels of a window on each side of its middle
     noise: Positive = 0.01  # grey 0..1; standard deviation of image noise; lowers the correlation of windows with less
     # contrast
     similar: Positive = 0.06  # sRGB 0..1; width of similar colours
@@ -76,6 +76,11 @@ class PlaneSweepOptions(Options):
     crowd: Count = 20  # nearest neighbours whose mean distance tells outliers
     lonely: NotNegative = 1.5  # deviations of that distance above which a point is an outlier
     filling: DepthFillingOptions = field(default_factory=DepthFillingOptions)
+
+    @property
+    def window(self) -> int:
+        """Return the window's side in pixels."""
+        return 2 * self.half_window + 1
 
 
 @dataclass(frozen=True)

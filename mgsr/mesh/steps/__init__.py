@@ -1,4 +1,7 @@
-"""The steps that finish a raw mesh, in their order. A new step is one file in this folder and one line here."""
+"""The steps that finish a raw mesh, in their order.
+
+A new step is one file in this folder, one line here, and its options in `mgsr/config/expert/mesh.py`.
+"""
 
 from mgsr.config import ExpertConfig
 from mgsr.mesh.steps.bilateral_filter import BilateralFilter

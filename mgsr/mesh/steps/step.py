@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from mgsr.config import MeshConfig
+from mgsr.config.expert import MeshOptions
 from mgsr.errors import MeshError
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.consistency import SilhouetteHull
@@ -48,7 +49,7 @@ class StepContext:
     views: the rendered surface. photos: the training photographs with their silhouettes, both possibly empty.
     footprint: the median size of a rendered pixel on the surface, in the scene's unit. hull: the visual hull that
     bounds the mesh, None without one. go_on: returns whether there is time for another round of refinement. ground [4]:
-    the plane on which a found object stands, None if it is unknown (see `Scene.ground`).
+    the plane on which a found object stands, None if it is unknown (see `Scene.ground`). options: of the extraction.
     """
 
     views: Sequence[SurfaceView]
@@ -58,6 +59,7 @@ class StepContext:
     hull: SilhouetteHull | None
     go_on: Callable[[], bool]
     ground: np.ndarray | None = None
+    options: MeshOptions = MeshOptions()
 
     def require_faces(self, mesh: Mesh, reason: str) -> None:
         """Raise MeshError with the reason and a remedy if the mesh has no faces."""

@@ -1,0 +1,81 @@
+"""Options of what training decides by numbers of its own (`mgsr.densify`, `mgsr.training`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from mgsr.config.options import Count, NotNegative, Options, Positive, Range, Share, WholeNumber
+
+Degree = Annotated[int, Range(0, 3)]
+
+
+@dataclass(frozen=True)
+class ErrorGrowthOptions(Options):
+    """Error-driven growth of the 3D branch. Source: Baranowski and others 2025 (ConeGS)."""
+
+    solid: Share = 0.3  # alpha from which a rendered depth counts as a surface
+    hidden: Positive = 3.0  # pixel sizes that a point may lie off the rendered surface of a view that sees it
+    half_window: WholeNumber = 1  # pixels on each side of a pixel that it is averaged with, against sensor noise
+
+    @property
+    def window(self) -> int:
+        """Return the averaging window's side in pixels."""
+        return 2 * self.half_window + 1
+
+
+@dataclass(frozen=True)
+class DensifyOptions(Options):
+    """Where splats are added and where none may lie."""
+
+    clearance_rank: Count = 10  # rank of the starting point that is nearest to a camera; nearer ones may be outliers
+    error_growth: ErrorGrowthOptions = field(default_factory=ErrorGrowthOptions)
+
+
+@dataclass(frozen=True)
+class ProxyModelOptions(Options):
+    """A small 3D branch that is trained on small photographs before the real training to learn from it."""
+
+    side: Annotated[int, Range(8)] = 128  # pixels; longer side of the photographs
+    points: Count = 4000  # Gaussians
+    rates: Share = 0.2  # position between a warm-up's first and last learning rates, constant
+
+
+@dataclass(frozen=True)
+class OutlineOptions(Options):
+    """Masks of photographs before a plain backdrop, learned by two proxy models."""
+
+    degree: Degree = 2  # of the colours' harmonics
+    rough_iterations: Count = 800  # of the first branch
+    iterations: Count = 1600  # of the second branch
+    rough_side: Annotated[int, Range(8)] = 64  # pixels; longer side of the first branch's photographs
+    opacity_cost: NotNegative = 0.4  # of the first branch; half of it leaves fog around shiny objects, twice as much
+    # erodes thin parts
+    voxels: Annotated[int, Range(8)] = 64  # along a side of the rough hull's grid
+    proxy: ProxyModelOptions = field(default_factory=ProxyModelOptions)
+
+
+@dataclass(frozen=True)
+class ExposureOptions(Options):
+    """The estimation of the photographs' exposures by proxy models."""
+
+    degree: Degree = 2  # of the harmonics of the candidate that is not matte; the matte one has none
+    iterations: Count = 150  # of each training
+    rounds: Count = 3  # that reuse the factors found so far
+    held_out: Annotated[int, Range(2)] = 4  # one view in this many is held out from a training
+    min_views: Count = 12  # with fewer, exposures are not estimated
+    min_jump: NotNegative = 0.07  # brightness change between neighbours below which exposures count as equal
+    min_gain: NotNegative = 0.5  # dB that a factor must gain on the other half of the held-out views
+    faint: Share = 0.3  # of the median light; fainter pixels are ignored
+    min_pixels: Count = 20  # to fit a factor to
+    clipped: Annotated[int, Range(1, 256)] = 250  # of 255; brighter pixels hide how bright they were
+    white: Positive = 0.9  # rendered light times factor above which the photograph may be clipped
+    proxy: ProxyModelOptions = field(default_factory=ProxyModelOptions)
+
+
+@dataclass(frozen=True)
+class TrainingOptions(Options):
+    """What is trained before the training."""
+
+    outlines: OutlineOptions = field(default_factory=OutlineOptions)
+    exposure: ExposureOptions = field(default_factory=ExposureOptions)

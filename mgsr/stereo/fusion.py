@@ -26,6 +26,7 @@ from mgsr.geometry.displace import mean_normals
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import drop_small_pieces
 from mgsr.native import _fusion
+from mgsr.native.structs import VotingMaps
 from mgsr.stereo.patch_match import DepthMap
 
 RESOLUTION = 192  # most voxels along the hull's longest side
@@ -86,9 +87,12 @@ class _Votes:
     def on(self, points: np.ndarray) -> np.ndarray:
         """Return the histograms [P,BINS] float32 of the depth maps' votes on the signed distances of points [P,3]."""
         votes = np.empty((len(points), BINS), np.float32)
-        cameras = np.stack([pinhole_row(camera) for camera in self.cameras])
-        depths = [found.depth for found in self.maps]
-        _fusion.vote(points, cameras, depths, self.weights, self.reach, SOLID_WEIGHT, SOLID_DEPTH, votes)
+        maps = VotingMaps(
+            cameras=np.stack([pinhole_row(camera) for camera in self.cameras]),
+            depths=[found.depth for found in self.maps],
+            weights=self.weights,
+        )
+        _fusion.vote(points, maps, self.reach, SOLID_WEIGHT, SOLID_DEPTH, votes)
         return votes
 
 

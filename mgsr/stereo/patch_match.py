@@ -8,7 +8,7 @@ surface, such as the visual hull, and prefers it where the photographs are ambig
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.images import reduce_area
 from mgsr.geometry.raycast import RayCaster, pixel_rays
 from mgsr.native import _stereo
+from mgsr.native.structs import StereoPlanes, StereoSettings, StereoViews
 from mgsr.parallel import map_ahead
 from mgsr.stereo.photographs import StereoPhotographs
 
@@ -28,31 +29,6 @@ SEEN_THROUGH = 4.0  # pixels; a view that sees farther than this behind a point 
 SAME_NORMAL = np.cos(np.radians(40.0))  # least cosine between normals that confirm each other
 WORTHLESS, PERFECT = 0.2, 0.8  # scores between which a depth's weight rises to 1
 LEAST = 0.05  # least such weight of a confirmed depth
-
-
-@dataclass(frozen=True)
-class MatchSettings:
-    """Settings of the matching: the fields of StereoSettings in kernels/stereo/stereo.h, in its order.
-
-    radius: samples of a patch on each side of its centre. spacing: pixels between samples. noise: standard deviation of
-    the image noise, sRGB 0..1. alike, reach: the colour difference, sRGB 0..1, and the distance, in pixels, from the
-    centre at which a sample weighs 0.6. best: the number of best neighbours whose mean correlation is the score. cover:
-    the least share of a patch that must show the object in a neighbour. prior: the loss in score of a depth that is
-    prior_reach pixels off the start. search: the variation of depths in the first round, in pixels. rounds: of the
-    search.
-    """
-
-    radius: int = 2
-    spacing: float = 1.25
-    noise: float = 0.012
-    alike: float = 0.3
-    reach: float = 4.0
-    best: int = 3
-    cover: float = 0.6
-    prior: float = 0.1
-    prior_reach: float = 3.5
-    search: float = 7.0
-    rounds: int = 3
 
 
 @dataclass(frozen=True)
@@ -72,7 +48,7 @@ def match_views(
     photographs: StereoPhotographs,
     start: RayCaster,
     seed: int,
-    settings: MatchSettings = MatchSettings(),
+    settings: StereoSettings | None = None,
     progress: Callable[[float], None] = lambda done: None,
 ) -> list[DepthMap]:
     """Find each view's depth map, in the order of the photographs. The same seed gives the same maps.
@@ -81,12 +57,14 @@ def match_views(
     """
     maps = []
     for view in range(len(photographs.images)):
-        maps.append(_match(photographs, view, start, seed, settings))
+        maps.append(_match(photographs, view, start, seed, settings or StereoSettings()))
         progress(len(maps) / len(photographs.images))
     return maps
 
 
-def _match(photographs: StereoPhotographs, view: int, start: RayCaster, seed: int, settings: MatchSettings) -> DepthMap:
+def _match(
+    photographs: StereoPhotographs, view: int, start: RayCaster, seed: int, settings: StereoSettings
+) -> DepthMap:
     camera = photographs.cameras[view]
     size = camera.height, camera.width
     depth, normal, score = (np.zeros(shape, np.float32) for shape in (size, (*size, 3), size))
@@ -96,20 +74,28 @@ def _match(photographs: StereoPhotographs, view: int, start: RayCaster, seed: in
     seen = start.cast(camera)
     turn = camera.cam_from_world[:3, :3]
     _stereo.search(
-        photographs.images,
-        photographs.packed_cameras,
-        view,
-        neighbours,
-        np.ascontiguousarray(seen.depth, np.float32),
-        np.ascontiguousarray(seen.normal @ turn.T, np.float32),
-        search_range(camera),
-        [float(each) for each in astuple(settings)],
-        (seed * 1_000_003 + view) % 2**32,
-        depth,
-        normal,
-        score,
+        views=stereo_views(photographs, view, neighbours),
+        start=StereoPlanes(
+            depth=np.ascontiguousarray(seen.depth, np.float32),
+            normal=np.ascontiguousarray(seen.normal @ turn.T, np.float32),
+        ),
+        settings=settings,
+        seed=(seed * 1_000_003 + view) % 2**32,
+        found=StereoPlanes(depth=depth, normal=normal),
+        score=score,
     )
     return DepthMap(depth, (normal @ turn).astype(np.float32), score)
+
+
+def stereo_views(photographs: StereoPhotographs, view: int, neighbours: Sequence[int]) -> StereoViews:
+    """Return a photograph and its neighbours as the kernels take them."""
+    return StereoViews(
+        images=photographs.images,
+        cameras=photographs.packed_cameras,
+        view=view,
+        neighbours=neighbours,
+        range=search_range(photographs.cameras[view]),
+    )
 
 
 def search_range(camera: Camera) -> tuple[float, float]:

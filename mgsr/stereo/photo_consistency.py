@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
-
 import numpy as np
 
 from mgsr.geometry.raycast import RayCaster
 from mgsr.native import _stereo
-from mgsr.stereo.patch_match import NEIGHBOURS, MatchSettings, search_range
+from mgsr.native.structs import StereoPlanes, StereoSettings
+from mgsr.stereo.patch_match import NEIGHBOURS, stereo_views
 from mgsr.stereo.photographs import StereoPhotographs
 
 
@@ -18,24 +17,17 @@ def photo_consistency(photographs: StereoPhotographs, surface: RayCaster) -> flo
     Patches are warped by the surface's tangent planes. The mean is over all pixels that show the object; a pixel
     without surface counts as -1. The result is 0 if no photograph has neighbours.
     """
-    settings = [float(each) for each in astuple(MatchSettings())]
     total, count = 0.0, 0
     for view, camera in enumerate(photographs.cameras):
         neighbours = photographs.neighbours(view, NEIGHBOURS)
         if len(neighbours) < 2:
             continue
         seen, score = surface.cast(camera), np.empty((camera.height, camera.width), np.float32)
-        _stereo.judge(
-            photographs.images,
-            photographs.packed_cameras,
-            view,
-            neighbours,
-            np.ascontiguousarray(seen.depth, np.float32),
-            np.ascontiguousarray(seen.normal @ camera.cam_from_world[:3, :3].T, np.float32),
-            search_range(camera),
-            settings,
-            score,
+        planes = StereoPlanes(
+            depth=np.ascontiguousarray(seen.depth, np.float32),
+            normal=np.ascontiguousarray(seen.normal @ camera.cam_from_world[:3, :3].T, np.float32),
         )
+        _stereo.judge(stereo_views(photographs, view, neighbours), planes, StereoSettings(), score)
         shown = photographs.images[view][..., 3] > 0.5
         total, count = total + float(score[shown].sum(dtype=np.float64)), count + int(shown.sum())
     return total / max(count, 1)

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import numpy as np
 import pytest
 
 from mgsr.native import _stereo
-from mgsr.stereo.patch_match import MatchSettings
+from mgsr.native.structs import StereoSettings
 from tests.ops.variants import ISAS, variant
 from tests.oracles import stereo as oracle
 from tests.stereo.patterned_plane import SIDE, PatternedPlane, patterned_plane
 
-OTHER_SETTINGS = MatchSettings(radius=1, spacing=2.0, noise=0.05, alike=0.1, reach=2.0, best=2, cover=0.85)
+OTHER_SETTINGS = StereoSettings(radius=1, spacing=2.0, noise=0.05, alike=0.1, reach=2.0, best=2, cover=0.85)
 # The kernel takes perspective for linear over a patch. What that changes falls with the distance of the cameras, whose
 # field of view is the narrower: scores differ by up to 0.006 at a distance of 3, and by 0.0004 at 48.
 TOLERANCE = 0.03  # over the distance
 
 
 @pytest.mark.parametrize("isa", ISAS)
-@pytest.mark.parametrize("settings", [MatchSettings(), OTHER_SETTINGS], ids=["usual", "other"])
+@pytest.mark.parametrize("settings", [StereoSettings(), OTHER_SETTINGS], ids=["usual", "other"])
 @pytest.mark.parametrize("distance", [3.0, 48.0])
-def test_scores_are_those_of_exact_homographies(distance: float, settings: MatchSettings, isa: str) -> None:
+def test_scores_are_those_of_exact_homographies(distance: float, settings: StereoSettings, isa: str) -> None:
     plane = patterned_plane(distance, seed=1)
     with variant(_stereo, isa):
         scores = plane.judged(settings)
@@ -35,8 +33,8 @@ def test_scores_are_those_of_exact_homographies(distance: float, settings: Match
 
 
 @pytest.mark.parametrize("isa", ISAS)
-@pytest.mark.parametrize("settings", [MatchSettings(), MatchSettings(best=1)], ids=["three", "one"])
-def test_neighbours_that_do_not_show_a_patch_are_left_out(settings: MatchSettings, isa: str) -> None:
+@pytest.mark.parametrize("settings", [StereoSettings(), StereoSettings(best=1)], ids=["three", "one"])
+def test_neighbours_that_do_not_show_a_patch_are_left_out(settings: StereoSettings, isa: str) -> None:
     """Check that neighbours that do not show a patch are left out, as in a hollow, or at an image's border.
 
     Most of five neighbours show the left half of the plane alone.
@@ -63,12 +61,12 @@ def test_where_no_depth_is_given_there_is_no_score(isa: str) -> None:
     plane = patterned_plane(3.0, seed=1)
     plane.depth[:, ::2] = 0
     with variant(_stereo, isa):
-        scores = plane.judged(MatchSettings())
+        scores = plane.judged(StereoSettings())
     assert (scores[:, ::2] == -1).all() and (scores[:, 1::2] > 0.5).any()
 
 
 def test_one_photograph_alone_has_no_score() -> None:
-    assert (patterned_plane(3.0, seed=1).judged(MatchSettings(), others=[]) == -1).all()
+    assert (patterned_plane(3.0, seed=1).judged(StereoSettings(), others=[]) == -1).all()
 
 
 def assert_alike(found: np.ndarray, true: oracle.Judged, tolerance: float) -> None:
@@ -76,7 +74,7 @@ def assert_alike(found: np.ndarray, true: oracle.Judged, tolerance: float) -> No
     np.testing.assert_allclose(found[true.clear], true.scores[true.clear], rtol=0, atol=tolerance)
 
 
-def exact(plane: PatternedPlane, settings: MatchSettings, shown: np.ndarray) -> oracle.Judged:
+def exact(plane: PatternedPlane, settings: StereoSettings, shown: np.ndarray) -> oracle.Judged:
     return oracle.judge(
         [image.astype(np.float64) for image in plane.photographs.images],
         plane.photographs.cameras,
@@ -84,5 +82,5 @@ def exact(plane: PatternedPlane, settings: MatchSettings, shown: np.ndarray) -> 
         plane.depth[shown].astype(np.float64),
         plane.normal[shown].astype(np.float64),
         plane.span,
-        asdict(settings),
+        settings._asdict(),
     )

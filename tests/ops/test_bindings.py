@@ -57,10 +57,11 @@ def surfels() -> list[Call]:
     view = structs.SurfelView(camera=CAMERA, near=0.01, far=100.0, low_pass=0.1)
     planes = {name: torch.empty(PLANE) for name in ("alpha", "depth", "median_depth", "distortion")}
     images = structs.SurfelImages(color=torch.empty(TRIPLE), normal=torch.empty(TRIPLE), **planes)
-    given = {"splats": splats, "view": view, "images": images}
+    given: dict[str, Any] = {"splats": splats, "view": view, "images": images}
     frame = _surfels.forward(**given, radii=torch.empty(COUNT))
     v_images = structs.SurfelImageGradients(*(torch.rand_like(image) for image in images if image is not None))
-    v_splats = structs.SurfelGradients(*(torch.zeros_like(each) for each in splats[:-1]), means2d=torch.zeros(COUNT, 2))
+    v_tensors = [torch.zeros_like(each) for each in splats[:-1]]
+    v_splats = structs.SurfelGradients._make([*v_tensors, torch.zeros(COUNT, 2)])
     return [
         Call(_surfels.forward, {**given, "radii": torch.empty(COUNT)}, ("radii", *paths("images", images))),
         Call(
@@ -84,11 +85,11 @@ def gaussians() -> list[Call]:
     view = structs.GaussianView(camera=CAMERA, near=0.01, low_pass=0.3, compensate=False)
     planes = {name: torch.empty(PLANE) for name in ("alpha", "depth", "weight")}
     images = structs.GaussianImages(color=torch.empty(TRIPLE), reflected=torch.empty(TRIPLE), **planes)
-    given = {"splats": splats, "view": view, "images": images}
+    given: dict[str, Any] = {"splats": splats, "view": view, "images": images}
     frame = _gaussians.forward(**given, radii=torch.empty(COUNT))
     v_images = structs.GaussianImageGradients(*(torch.rand_like(image) for image in images if image is not None))
     v_tensors = [torch.zeros_like(each) for each in splats[:-1] if each is not None]
-    v_splats = structs.GaussianGradients(*v_tensors, means2d=torch.zeros(COUNT, 2))
+    v_splats = structs.GaussianGradients._make([*v_tensors, torch.zeros(COUNT, 2)])
     return [
         Call(_gaussians.forward, {**given, "radii": torch.empty(COUNT)}, ("radii", *paths("images", images))),
         Call(

@@ -12,6 +12,7 @@ import torch
 from benchmarks.rasterizers import Scene
 from mgsr.native.cuda import gaussians, tiles
 from mgsr.native.cuda.tiles import BUCKET, TILE, TILE_PIXELS
+from mgsr.native.structs import GaussianSplats, GaussianView
 from mgsr.ops.gaussians import GaussianOptions
 from tests.cuda_shim.launcher import ShimLauncher
 
@@ -77,11 +78,21 @@ class View:
 def project(scene: Scene, dual: bool) -> View:
     """Return a scene's splats and lists, as the CUDA kernels make them (on this machine's processor)."""
     launcher, options, camera = ShimLauncher(), GaussianOptions(), scene.camera
-    reflected = tuple(scene.reflected) if dual else (None, None, None)
-    given = [None if t is None else t.detach() for t in (*scene.leaves, *reflected)]
-    view = (camera.K, camera.cam_from_world, camera.width, camera.height, options.near, options.low_pass, 0)
+    means, quats, scales, opacities, colors = (leaf.detach() for leaf in scene.leaves)
+    given = GaussianSplats(
+        means=means,
+        quats=quats,
+        scales=scales,
+        opacities=opacities,
+        colors=colors,
+        refl_opacities=scene.reflected.opacities.detach() if dual else None,
+        refl_colors=scene.reflected.colors.detach() if dual else None,
+        weights=scene.reflected.weights.detach() if dual else None,
+        background=scene.background,
+    )
+    view = GaussianView(camera=camera, near=options.near, low_pass=options.low_pass, compensate=options.compensate)
     struct = gaussians.splats_struct(given, view)
-    projected = tiles.project(launcher, "gaussians", gaussians.ProjectParams, struct, torch.empty(len(scene.leaves[0])))
+    projected = tiles.project(launcher, "gaussians", gaussians.ProjectParams, struct, torch.empty(len(means)))
     lists = tiles.list_tiles(launcher, projected, projected.whole)
     records = projected.records.numpy()
     whole = np.ascontiguousarray(records[:, :1]).view(np.int16)

@@ -1,5 +1,7 @@
 from torch import Tensor
 
+from mgsr.native.structs import AdamParameter
+
 def isas() -> list[str]: ...
 def isa() -> str: ...
 def set_isa(name: str) -> None: ...
@@ -8,26 +10,9 @@ def set_threads(n: int) -> None: ...
 
 class AdamBatch:
     def __init__(self, beta1: float, beta2: float, epsilon: float) -> None: ...
-    def add(
-        self,
-        values: Tensor,
-        gradients: Tensor,
-        first: Tensor,
-        second: Tensor,
-        column_scales: Tensor | None,
-        rate: float,
-        step: int,
-    ) -> None: ...
+    def add(self, parameter: AdamParameter, gradients: Tensor, rate: float, step: int) -> None: ...
     def update(self) -> None: ...
 
 def adam_double(
-    value: float,
-    gradient: float,
-    first: float,
-    second: float,
-    rate: float,
-    beta1: float,
-    beta2: float,
-    epsilon: float,
-    root_scale: float,
+    value: float, gradient: float, first: float, second: float, rate: float, step: tuple[float, float, float, float]
 ) -> tuple[float, float, float]: ...

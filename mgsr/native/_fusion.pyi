@@ -1,6 +1,6 @@
-from collections.abc import Sequence
-
 from numpy import ndarray
+
+from mgsr.native.structs import VotingMaps
 
 def isas() -> list[str]: ...
 def isa() -> str: ...
@@ -8,14 +8,7 @@ def set_isa(name: str) -> None: ...
 def threads() -> int: ...
 def set_threads(n: int) -> None: ...
 def vote(
-    points: ndarray,
-    cameras: ndarray,
-    depths: Sequence[ndarray],
-    weights: Sequence[ndarray],
-    reach: float,
-    solid_weight: float,
-    solid_depth: float,
-    votes: ndarray,
+    points: ndarray, maps: VotingMaps, reach: float, solid_weight: float, solid_depth: float, votes: ndarray
 ) -> None: ...
 def regularise(
     votes: ndarray, voxels: ndarray, most: ndarray, strength: float, rounds: int, field: ndarray

@@ -1,6 +1,14 @@
 from numpy import ndarray
 from torch import Tensor
 
+from mgsr.native.structs import (
+    GaussianGradients,
+    GaussianImageGradients,
+    GaussianImages,
+    GaussianSplats,
+    GaussianView,
+)
+
 class Frame: ...
 
 def isas() -> list[str]: ...
@@ -9,23 +17,16 @@ def set_isa(name: str) -> None: ...
 def threads() -> int: ...
 def set_threads(n: int) -> None: ...
 def pairs(frame: Frame) -> int: ...
-
-# After the frame, in both: means, quats, scales, opacities, colors, refl_opacities, refl_colors, weights, background,
-# K, cam_from_world, width, height, near, low_pass, compensate; forward then takes its images (color, alpha, depth,
-# reflected, weight) and radii to fill, backward those images, their gradients, and the splats' gradients to fill.
-def forward(*arguments: Tensor | ndarray | float | None) -> Frame: ...
-def backward(frame: Frame, *arguments: Tensor | ndarray | float | None) -> None: ...
-def project_double(
-    mean: ndarray, quat: ndarray, scale: ndarray, camera: ndarray, low_pass: float, out: ndarray
+def forward(splats: GaussianSplats, view: GaussianView, images: GaussianImages, radii: Tensor) -> Frame: ...
+def backward(
+    frame: Frame,
+    splats: GaussianSplats,
+    view: GaussianView,
+    images: GaussianImages,
+    v_images: GaussianImageGradients,
+    v_splats: GaussianGradients,
 ) -> None: ...
+def project_double(mean: ndarray, quat: ndarray, scale: ndarray, camera: ndarray, low_pass: float) -> list[float]: ...
 def project_double_vjp(
-    mean: ndarray,
-    quat: ndarray,
-    scale: ndarray,
-    camera: ndarray,
-    low_pass: float,
-    v: ndarray,
-    v_mean: ndarray,
-    v_quat: ndarray,
-    v_scale: ndarray,
-) -> None: ...
+    mean: ndarray, quat: ndarray, scale: ndarray, camera: ndarray, low_pass: float, v: ndarray
+) -> tuple[list[float], list[float], list[float]]: ...

@@ -1,29 +1,14 @@
-from numpy import ndarray
 from torch import Tensor
+
+from mgsr.native.structs import Harmonics
 
 def isas() -> list[str]: ...
 def isa() -> str: ...
 def set_isa(name: str) -> None: ...
 def threads() -> int: ...
 def set_threads(n: int) -> None: ...
-def forward(coeffs: Tensor, means: Tensor, center: Tensor, degree: int, rgb: Tensor) -> None: ...
-def backward(
-    coeffs: Tensor,
-    means: Tensor,
-    center: Tensor,
-    degree: int,
-    rgb: Tensor,
-    v_rgb: Tensor,
-    v_coeffs: Tensor,
-    v_means: Tensor | None,
-) -> None: ...
+def forward(splats: Harmonics, rgb: Tensor) -> None: ...
+def backward(splats: Harmonics, rgb: Tensor, v_rgb: Tensor, v_coeffs: Tensor, v_means: Tensor | None) -> None: ...
 def harmonics_double(
-    coeffs: ndarray,
-    means: ndarray,
-    center: ndarray,
-    degree: int,
-    rgb: ndarray,
-    v_rgb: ndarray | None,
-    v_coeffs: ndarray | None,
-    v_means: ndarray | None,
+    splats: Harmonics, rgb: Tensor, v_rgb: Tensor | None, v_coeffs: Tensor | None, v_means: Tensor | None
 ) -> None: ...

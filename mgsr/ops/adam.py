@@ -11,6 +11,7 @@ from mgsr.errors import CheckpointError, TensorError
 from mgsr.native import _adam
 from mgsr.native.cuda.adam import Group, judge, make_group, update
 from mgsr.native.cuda.launcher import launcher_for
+from mgsr.native.structs import AdamParameter
 from mgsr.ops.arrays import plain
 
 
@@ -75,7 +76,7 @@ class FusedAdam:
         self._first: dict[str, torch.Tensor] = {}
         self._second: dict[str, torch.Tensor] = {}
         # Of each parameter the values and the two moments, seen as [rows, columns].
-        self._packed: dict[str, tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = {}
+        self._packed: dict[str, AdamParameter] = {}
         self._groups: dict[str, Group] = {}
         self._steps = dict.fromkeys(params, 0)
         for name, param in params.items():
@@ -169,7 +170,9 @@ class FusedAdam:
     def _pack(self, name: str) -> None:
         tensors = (self.params[name].detach(), self._first[name], self._second[name])
         values, first, second = (tensor.view(tensor.shape[0], -1) if tensor.numel() else tensor for tensor in tensors)
-        self._packed[name] = values, first, second
+        self._packed[name] = AdamParameter(
+            values=values, first=first, second=second, column_scales=self._scales.get(name)
+        )
         self._groups.pop(name, None)
 
     def due(self) -> list[tuple[str, torch.Tensor]]:
@@ -181,9 +184,8 @@ class FusedAdam:
         batch = _adam.AdamBatch(*self.betas, self.epsilon)
         for name, gradients in due:
             self._steps[name] += 1
-            values, first, second = self._packed[name]
-            arrays = (values, gradients.view(values.shape), first, second, self._scales.get(name))
-            batch.add(*arrays, self.lrs[name], self._steps[name])
+            parameter = self._packed[name]
+            batch.add(parameter, gradients.view(parameter.values.shape), self.lrs[name], self._steps[name])
         batch.update()
 
     def groups(self, due: Sequence[tuple[str, torch.Tensor]]) -> list[tuple[Group, torch.Tensor, float, int]]:
@@ -196,6 +198,5 @@ class FusedAdam:
         """Return the parameter as a card's kernel takes it."""
         group = self._groups.get(name)
         if group is None:
-            arrays = (*self._packed[name], self._scales.get(name))
-            group = self._groups[name] = make_group(*arrays, self.betas, self.epsilon)
+            group = self._groups[name] = make_group(self._packed[name], self.betas, self.epsilon)
         return group

@@ -13,6 +13,7 @@ from mgsr.native import _image
 from mgsr.native.cuda.image import ImageKernels
 from mgsr.native.cuda.launcher import launcher_for
 from mgsr.native.cuda.terms import Sums
+from mgsr.native.structs import DepthSurface
 from mgsr.ops.arrays import once_differentiable, plain
 from mgsr.ops.terms import Slope, Term, Total, wanted
 
@@ -50,27 +51,21 @@ def normal_agreement_term(
     check_tensors(normals=(normals, "H W 3"), depth=(depth, "H W"), alpha=(alpha, "H W"), covered=(covered, "H W"))
     of_normals, of_depth = wanted(normals, depth)
     along, lengths, counted = plain(normals), plain(alpha), plain(covered)
+    surface = DepthSurface(depth=plain(depth), alpha=lengths, camera=camera)
     from_depth = torch.empty_like(along)
     v_depth = torch.empty_like(depth) if of_depth else None
     launcher = launcher_for(depth)
     sums: Total | Sums
     if launcher is None:
-        lengths, count = lengths * counted, float(counted.sum())
-        _image.depth_normals(plain(depth), lengths, *_geometry(camera), from_depth)
+        surface, count = surface._replace(alpha=lengths * counted), float(counted.sum())
+        _image.depth_normals(surface, from_depth)
         sums = Total(count - float(along.reshape(-1) @ from_depth.reshape(-1)), count)
         if v_depth is not None:
-            _image.depth_normals_vjp(plain(depth), lengths, *_geometry(camera), along, v_depth)
+            _image.depth_normals_vjp(surface, along, v_depth)
     else:
-        kernels = ImageKernels(launcher)
-        sums = kernels.normal_agreement(plain(depth), lengths, counted, *_geometry(camera), along, from_depth, v_depth)
+        sums = ImageKernels(launcher).normal_agreement(surface, counted, along, from_depth, v_depth)
     slopes = [(normals, from_depth)] * of_normals + [(depth, v_depth)] * of_depth
     return Term(sums, tuple(Slope(each, v, factor=-1.0) for each, v in slopes if v is not None))
-
-
-def _geometry(camera: Camera) -> tuple[tuple[float, float, float, float], list[float]]:
-    K = camera.K
-    intrinsics = (float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
-    return intrinsics, camera.cam_from_world[:3, :3].T.ravel().tolist()
 
 
 class _DepthNormals(torch.autograd.Function):
@@ -80,7 +75,7 @@ class _DepthNormals(torch.autograd.Function):
         launcher = launcher_for(depth)
         ctx.kernels = _image if launcher is None else ImageKernels(launcher)
         normals = depth.new_empty(*depth.shape, 3)
-        ctx.kernels.depth_normals(depth, alpha, *_geometry(camera), normals)
+        ctx.kernels.depth_normals(DepthSurface(depth=depth, alpha=alpha, camera=camera), normals)
         ctx.save_for_backward(depth, alpha)
         ctx.camera = camera
         return normals
@@ -90,5 +85,6 @@ class _DepthNormals(torch.autograd.Function):
     def backward(ctx: Any, v_normals: torch.Tensor) -> tuple[torch.Tensor, None, None]:
         depth, alpha = ctx.saved_tensors
         v_depth = torch.empty_like(depth)
-        ctx.kernels.depth_normals_vjp(depth, alpha, *_geometry(ctx.camera), plain(v_normals), v_depth)
+        surface = DepthSurface(depth=depth, alpha=alpha, camera=ctx.camera)
+        ctx.kernels.depth_normals_vjp(surface, plain(v_normals), v_depth)
         return v_depth, None, None

@@ -12,6 +12,7 @@ from mgsr.errors import TensorError
 from mgsr.native import _environment_map
 from mgsr.native.cuda.environment_map import EnvironmentMapKernels
 from mgsr.native.cuda.launcher import launcher_for
+from mgsr.native.structs import EnvironmentMapLookup
 from mgsr.ops.arrays import once_differentiable, plain
 
 
@@ -45,12 +46,6 @@ def look_up_environment_map(
     return light
 
 
-def _geometry(camera: Camera) -> tuple[list[float], tuple[float, float, float, float]]:
-    K = camera.K
-    intrinsics = (float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
-    return camera.cam_from_world[:3, :3].ravel().tolist(), intrinsics
-
-
 class _EnvironmentMapLookup(torch.autograd.Function):
     @staticmethod
     def forward(
@@ -60,7 +55,8 @@ class _EnvironmentMapLookup(torch.autograd.Function):
         launcher = launcher_for(normals)
         ctx.kernels = _environment_map if launcher is None else EnvironmentMapKernels(launcher)
         light = _like(normals, pixels)
-        ctx.kernels.forward(maps, normals, pixels, *_geometry(camera), light)
+        lookup = EnvironmentMapLookup(maps=maps, normals=normals, pixels=pixels, camera=camera)
+        ctx.kernels.forward(lookup, light)
         ctx.save_for_backward(maps, normals, pixels)
         ctx.camera = camera
         return light
@@ -71,7 +67,8 @@ class _EnvironmentMapLookup(torch.autograd.Function):
         maps, normals, pixels = ctx.saved_tensors
         v_maps = torch.empty_like(maps) if ctx.needs_input_grad[0] else None
         v_normals = _like(normals, pixels) if ctx.needs_input_grad[1] else None
-        ctx.kernels.backward(maps, normals, pixels, *_geometry(ctx.camera), plain(v_light), v_maps, v_normals)
+        lookup = EnvironmentMapLookup(maps=maps, normals=normals, pixels=pixels, camera=ctx.camera)
+        ctx.kernels.backward(lookup, plain(v_light), v_maps, v_normals)
         return v_maps, v_normals, None, None
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -15,6 +13,13 @@ from mgsr.data.camera import Camera
 from mgsr.native import _gaussians
 from mgsr.native.cuda.gaussians import GaussianKernels
 from mgsr.native.cuda.launcher import Launcher, launcher_for
+from mgsr.native.structs import (
+    GaussianGradients,
+    GaussianImageGradients,
+    GaussianImages,
+    GaussianSplats,
+    GaussianView,
+)
 from mgsr.ops.raster import Rasterize, SplatStats
 
 
@@ -89,10 +94,20 @@ def rasterize_gaussians(
         refl_colors=(refl_colors, "? N 3"),
         weights=(weights, "? N"),
     )
-    tensors = (means, quats, scales, opacities, colors, refl_opacities, refl_colors, weights, background)
-    differentiable = torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in tensors)
+    splats = GaussianSplats(
+        means=means,
+        quats=quats,
+        scales=scales,
+        opacities=opacities,
+        colors=colors,
+        refl_opacities=refl_opacities,
+        refl_colors=refl_colors,
+        weights=weights,
+        background=background,
+    )
+    differentiable = torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in splats)
     pass_ = GaussianPass(camera, options, launcher_for(means), differentiable)
-    color, alpha, depth, refl, weight = Rasterize.apply(pass_, *tensors)
+    color, alpha, depth, refl, weight = Rasterize.apply(pass_, *splats)
     return GaussianRaster(color, alpha, depth, refl, weight, pass_.stats)
 
 
@@ -102,51 +117,51 @@ class GaussianPass:
     differentiable: whether `backward` will be called; stats: of the rendering, once it is done.
     """
 
+    Splats, Images, ImageGradients = GaussianSplats, GaussianImages, GaussianImageGradients
+
     def __init__(
         self, camera: Camera, options: GaussianOptions, launcher: Launcher | None, differentiable: bool
     ) -> None:
         self.stats = SplatStats(torch.empty(0))
         self._kernels = _gaussians if launcher is None else GaussianKernels(launcher, keep=differentiable)
         self._depth = options.depth
-        self._view = (
-            np.ascontiguousarray(camera.K, dtype=np.float64),
-            np.ascontiguousarray(camera.cam_from_world, dtype=np.float64),
-            camera.width,
-            camera.height,
-            options.near,
-            options.low_pass,
-            options.compensate,
+        self._view = GaussianView(
+            camera=camera, near=options.near, low_pass=options.low_pass, compensate=options.compensate
         )
         self._frame: Any = None
 
-    def forward(self, splats: Sequence[Tensor | None]) -> tuple[Tensor | None, ...]:
-        """Render color, alpha, depth, reflected and weight, each [H,W] or [H,W,3].
-
-        splats: contiguous, the tensors of `rasterize_gaussians` in its order, with the reflected three, or None for
-        each of them, before the background.
-        """
-        means, dual = splats[0], splats[5] is not None
-        assert means is not None
-        plane, triple = self._view[3:1:-1], (*self._view[3:1:-1], 3)
-        color, alpha = means.new_empty(triple), means.new_empty(plane)
-        depth = means.new_empty(plane) if self._depth else None
-        refl, weight = (means.new_empty(triple), means.new_empty(plane)) if dual else (None, None)
+    def forward(self, splats: GaussianSplats) -> GaussianImages:
+        """Render the images, each [H,W] or [H,W,3]; splats: contiguous."""
+        means, dual = splats.means, splats.refl_opacities is not None
+        plane = (self._view.camera.height, self._view.camera.width)
+        images = GaussianImages(
+            color=means.new_empty(*plane, 3),
+            alpha=means.new_empty(plane),
+            depth=means.new_empty(plane) if self._depth else None,
+            reflected=means.new_empty(*plane, 3) if dual else None,
+            weight=means.new_empty(plane) if dual else None,
+        )
         self.stats.radii = means.new_empty(means.shape[0])
-        self._frame = self._kernels.forward(*splats, *self._view, color, alpha, depth, refl, weight, self.stats.radii)
-        return color, alpha, depth, refl, weight
+        self._frame = self._kernels.forward(splats, self._view, images, self.stats.radii)
+        return images
 
     def backward(
-        self, splats: Sequence[Tensor | None], images: Sequence[Tensor | None], v_images: Sequence[Tensor | None]
-    ) -> list[Tensor | None]:
-        """Return the splat tensors' gradients [N,...], except the background's, given those of the images.
-
-        Each image's gradient, [H,W] or [H,W,3], is contiguous or None.
-        """
+        self, splats: GaussianSplats, images: GaussianImages, v_images: GaussianImageGradients
+    ) -> GaussianGradients:
+        """Return the splats' gradients [N,...], given those of the images, [H,W] or [H,W,3], contiguous or None."""
         # The CUDA kernels write every element.
         new_like = torch.zeros_like if self._kernels is _gaussians else torch.empty_like
-        v_splats = [t if t is None else new_like(t) for t in splats[:-1]]
-        assert splats[0] is not None
-        v_means2d = new_like(splats[0][:, :2], memory_format=torch.contiguous_format)
-        self._kernels.backward(self._frame, *splats, *self._view, *images, *v_images, *v_splats, v_means2d)
-        self.stats.v_means2d = v_means2d
+        v_splats = GaussianGradients(
+            means=new_like(splats.means),
+            quats=new_like(splats.quats),
+            scales=new_like(splats.scales),
+            opacities=new_like(splats.opacities),
+            colors=new_like(splats.colors),
+            refl_opacities=None if splats.refl_opacities is None else new_like(splats.refl_opacities),
+            refl_colors=None if splats.refl_colors is None else new_like(splats.refl_colors),
+            weights=None if splats.weights is None else new_like(splats.weights),
+            means2d=new_like(splats.means[:, :2], memory_format=torch.contiguous_format),
+        )
+        self._kernels.backward(self._frame, splats, self._view, images, v_images, v_splats)
+        self.stats.v_means2d = v_splats.means2d
         return v_splats

@@ -11,6 +11,7 @@ from mgsr.errors import TensorError
 from mgsr.native import _harmonics
 from mgsr.native.cuda.harmonics import HarmonicsKernels
 from mgsr.native.cuda.launcher import Launcher, launcher_for
+from mgsr.native.structs import Harmonics
 from mgsr.ops.arrays import once_differentiable, plain
 
 
@@ -50,7 +51,7 @@ class _Harmonics(torch.autograd.Function):
     def forward(ctx: Any, coeffs: torch.Tensor, means: torch.Tensor, center: torch.Tensor, degree: int) -> torch.Tensor:
         coeffs, means, center = plain(coeffs), plain(means), plain(center)
         ctx.launcher, ctx.degree = launcher_for(means), degree
-        rgb = harmonics(ctx.launcher, coeffs, means, center, degree)
+        rgb = harmonics(ctx.launcher, Harmonics(coeffs=coeffs, means=means, center=center, degree=degree))
         ctx.save_for_backward(coeffs, means, center, rgb)
         return rgb
 
@@ -59,35 +60,30 @@ class _Harmonics(torch.autograd.Function):
     def backward(ctx: Any, v_rgb: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None, None, None]:
         coeffs, means, center, rgb = ctx.saved_tensors
         v_means = torch.zeros_like(means) if ctx.needs_input_grad[1] else None
-        arrays = (coeffs, means, center, ctx.degree, plain(rgb), plain(v_rgb), v_means)
-        return harmonics_vjp(ctx.launcher, *arrays), v_means, None, None
+        splats = Harmonics(coeffs=coeffs, means=means, center=center, degree=ctx.degree)
+        return harmonics_vjp(ctx.launcher, splats, plain(rgb), plain(v_rgb), v_means), v_means, None, None
 
 
-def harmonics(
-    launcher: Launcher | None, coeffs: torch.Tensor, means: torch.Tensor, center: torch.Tensor, degree: int
-) -> torch.Tensor:
+def harmonics(launcher: Launcher | None, splats: Harmonics) -> torch.Tensor:
     """Return the colours [N,3] of contiguous tensors, outside the graph.
 
-    launcher: of the GPU's kernels; None on the CPU. Other arguments as of `harmonics_to_rgb`.
+    launcher: of the GPU's kernels; None on the CPU.
     """
-    rgb = torch.empty_like(means)
+    rgb = torch.empty_like(splats.means)
     kernels = _harmonics if launcher is None else HarmonicsKernels(launcher)
-    kernels.forward(coeffs, means, center, degree, rgb)
+    kernels.forward(splats, rgb)
     return rgb
 
 
 def harmonics_vjp(
     launcher: Launcher | None,
-    coeffs: torch.Tensor,
-    means: torch.Tensor,
-    center: torch.Tensor,
-    degree: int,
+    splats: Harmonics,
     rgb: torch.Tensor,
     v_rgb: torch.Tensor,
     v_means: torch.Tensor | None,
 ) -> torch.Tensor:
     """Return the gradient of the coefficients [N,K,3], and add that of the means to v_means [N,3], if given."""
-    v_coeffs = torch.empty_like(coeffs)
+    v_coeffs = torch.empty_like(splats.coeffs)
     kernels = _harmonics if launcher is None else HarmonicsKernels(launcher)
-    kernels.backward(coeffs, means, center, degree, rgb, v_rgb, v_coeffs, v_means)
+    kernels.backward(splats, rgb, v_rgb, v_coeffs, v_means)
     return v_coeffs

@@ -10,6 +10,7 @@ from mgsr.native import _image
 from mgsr.native.cuda.image import ImageKernels
 from mgsr.native.cuda.launcher import launcher_for
 from mgsr.native.cuda.terms import Sums
+from mgsr.native.structs import ImagePair
 from mgsr.ops.arrays import plain
 from mgsr.ops.terms import Slope, Term, Total, scalar, wanted
 
@@ -83,13 +84,19 @@ def _differentiated(
     new = torch.empty if launcher is not None or region == whole else torch.zeros
     v_image = new(image.shape, device=image.device) if of_image or of_target else None
     v_target = new(image.shape, device=image.device) if of_target else None
-    weights = None if mask is None else plain(mask)
-    arguments = (plain(image), plain(target), l1_weight, clip, weights, region, v_image, v_target)
+    pair = ImagePair(
+        image=plain(image),
+        target=plain(target),
+        mask=None if mask is None else plain(mask),
+        l1_weight=l1_weight,
+        clip=clip,
+        region=region,
+    )
     sums: Total | Sums
     if launcher is None:
-        sums = Total(*_image.image_loss(*arguments))
+        sums = Total(*_image.image_loss(pair, v_image, v_target))
     else:
-        sums = ImageKernels(launcher).image_loss(*arguments, mask_sum)
+        sums = ImageKernels(launcher).image_loss(pair, v_image, v_target, mask_sum)
     written = None if launcher is None or region == whole else region
     slopes = [(image, v_image)] * of_image + [(target, v_target)] * of_target
     return Term(sums, tuple(Slope(each, v, region=written) for each, v in slopes if v is not None))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -32,19 +31,19 @@ class SplatStats:
 class RasterPass(Protocol):
     """One rendering, forward and back, outside the graph.
 
-    splats: its tensors, contiguous, the background last.
+    Splats, Images, ImageGradients: the structs of its kernels (see `mgsr.native.structs`), which are named tuples of
+    contiguous tensors. The background comes last in Splats, colour and alpha first in Images.
     """
 
-    def forward(self, splats: Sequence[Any]) -> tuple[Tensor | None, ...]:
-        """Return the images, [H,W] or [H,W,3]: colour and alpha, then others."""
+    Splats: Any
+    Images: Any
+    ImageGradients: Any
 
-    def backward(
-        self, splats: Sequence[Any], images: Sequence[Tensor | None], v_images: Sequence[Tensor | None]
-    ) -> Sequence[Tensor | None]:
-        """Return the splat tensors' gradients [N,...], except the background's, given those of the images.
+    def forward(self, splats: Any) -> tuple[Tensor | None, ...]:
+        """Return the Images, [H,W] or [H,W,3]."""
 
-        Each image's gradient, [H,W] or [H,W,3], is contiguous or None.
-        """
+    def backward(self, splats: Any, images: Any, v_images: Any) -> tuple[Tensor | None, ...]:
+        """Return the splats' gradients [N,...] and, last, those of their shifts in the image, given the images'."""
 
 
 class Rasterize(torch.autograd.Function):
@@ -52,7 +51,7 @@ class Rasterize(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, pass_: RasterPass, *tensors: Tensor | None) -> tuple[Tensor | None, ...]:
-        splats = [t if t is None else plain(t) for t in tensors]
+        splats = pass_.Splats._make(t if t is None else plain(t) for t in tensors)
         images = pass_.forward(splats)
         ctx.pass_, ctx.splats = pass_, splats
         ctx.save_for_backward(*images)
@@ -62,9 +61,10 @@ class Rasterize(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Any, ...]:
-        images, v_images = ctx.saved_tensors, [v if v is None else plain(v) for v in v_outputs]
-        v_splats = ctx.pass_.backward(ctx.splats, images, v_images)
+        images = ctx.pass_.Images._make(ctx.saved_tensors)
+        v_images = ctx.pass_.ImageGradients._make(v if v is None else plain(v) for v in v_outputs)
+        *v_splats, _ = ctx.pass_.backward(ctx.splats, images, v_images)
         v_background = None
-        if ctx.needs_input_grad[-1] and v_images[0] is not None:
-            v_background = (v_images[0] * (1 - images[1])[..., None]).sum((0, 1))
+        if ctx.needs_input_grad[-1] and v_images.color is not None:
+            v_background = (v_images.color * (1 - images.alpha)[..., None]).sum((0, 1))
         return None, *v_splats, v_background

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,6 +14,7 @@ from mgsr.errors import TensorError
 from mgsr.native import _surfels
 from mgsr.native.cuda.launcher import Launcher, launcher_for
 from mgsr.native.cuda.surfels import SurfelKernels
+from mgsr.native.structs import SurfelGradients, SurfelImageGradients, SurfelImages, SurfelSplats, SurfelView
 from mgsr.ops.raster import Rasterize, SplatStats
 
 
@@ -93,10 +92,12 @@ def rasterize_surfels(
         colors=(colors, "N 3"),
         background=(background, "3"),
     )
-    tensors = (means, quats, scales, opacities, colors, background)
-    differentiable = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
+    splats = SurfelSplats(
+        means=means, quats=quats, scales=scales, opacities=opacities, colors=colors, background=background
+    )
+    differentiable = torch.is_grad_enabled() and any(t.requires_grad for t in splats)
     pass_ = SurfelPass(camera, options, launcher_for(means), differentiable)
-    color, alpha, depth, median_depth, normal, distortion = Rasterize.apply(pass_, *tensors)
+    color, alpha, depth, median_depth, normal, distortion = Rasterize.apply(pass_, *splats)
     return SurfelRaster(color, alpha, depth, median_depth, normal, distortion, pass_.stats)
 
 
@@ -106,47 +107,43 @@ class SurfelPass:
     differentiable: whether `backward` will be called; stats: of the rendering, once it is done.
     """
 
+    Splats, Images, ImageGradients = SurfelSplats, SurfelImages, SurfelImageGradients
+
     def __init__(self, camera: Camera, options: SurfelOptions, launcher: Launcher | None, differentiable: bool) -> None:
         self.stats = SplatStats(torch.empty(0))
         self._kernels = _surfels if launcher is None else SurfelKernels(launcher, keep=differentiable)
         self._distortion = options.distortion
-        self._view = (
-            np.ascontiguousarray(camera.K, dtype=np.float64),
-            np.ascontiguousarray(camera.cam_from_world, dtype=np.float64),
-            camera.width,
-            camera.height,
-            options.near,
-            options.far,
-            options.low_pass,
-        )
+        self._view = SurfelView(camera=camera, near=options.near, far=options.far, low_pass=options.low_pass)
         self._frame: Any = None
 
-    def forward(self, splats: Sequence[Tensor]) -> tuple[Tensor | None, ...]:
-        """Render color, alpha, depth, median_depth, normal and distortion, each [H,W] or [H,W,3].
-
-        splats: contiguous, the tensors of `rasterize_surfels` in its order, the background last.
-        """
-        means = splats[0]
-        plane, triple = self._view[3:1:-1], (*self._view[3:1:-1], 3)
-        color, normal = means.new_empty(triple), means.new_empty(triple)
-        alpha, depth, median_depth = means.new_empty(plane), means.new_empty(plane), means.new_empty(plane)
-        distortion = means.new_empty(plane) if self._distortion else None
-        images = (color, alpha, depth, median_depth, normal, distortion)
+    def forward(self, splats: SurfelSplats) -> SurfelImages:
+        """Render the images, each [H,W] or [H,W,3]; splats: contiguous."""
+        means = splats.means
+        plane = (self._view.camera.height, self._view.camera.width)
+        images = SurfelImages(
+            color=means.new_empty(*plane, 3),
+            alpha=means.new_empty(plane),
+            depth=means.new_empty(plane),
+            median_depth=means.new_empty(plane),
+            normal=means.new_empty(*plane, 3),
+            distortion=means.new_empty(plane) if self._distortion else None,
+        )
         self.stats.radii = means.new_empty(means.shape[0])
-        self._frame = self._kernels.forward(*splats, *self._view, *images, self.stats.radii)
+        self._frame = self._kernels.forward(splats, self._view, images, self.stats.radii)
         return images
 
-    def backward(
-        self, splats: Sequence[Tensor], images: Sequence[Tensor | None], v_images: Sequence[Tensor | None]
-    ) -> list[Tensor]:
-        """Return the splat tensors' gradients [N,...], except the background's, given those of the images.
-
-        Each image's gradient, [H,W] or [H,W,3], is contiguous or None.
-        """
+    def backward(self, splats: SurfelSplats, images: SurfelImages, v_images: SurfelImageGradients) -> SurfelGradients:
+        """Return the splats' gradients [N,...], given those of the images, [H,W] or [H,W,3], contiguous or None."""
         # The CUDA kernels write every element.
         new_like = torch.zeros_like if self._kernels is _surfels else torch.empty_like
-        v_splats = [new_like(t) for t in splats[:-1]]
-        v_means2d = new_like(splats[0][:, :2], memory_format=torch.contiguous_format)
-        self._kernels.backward(self._frame, *splats, *self._view, *images, *v_images, *v_splats, v_means2d)
-        self.stats.v_means2d = v_means2d
+        v_splats = SurfelGradients(
+            means=new_like(splats.means),
+            quats=new_like(splats.quats),
+            scales=new_like(splats.scales),
+            opacities=new_like(splats.opacities),
+            colors=new_like(splats.colors),
+            means2d=new_like(splats.means[:, :2], memory_format=torch.contiguous_format),
+        )
+        self._kernels.backward(self._frame, splats, self._view, images, v_images, v_splats)
+        self.stats.v_means2d = v_splats.means2d
         return v_splats

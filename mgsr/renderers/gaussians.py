@@ -12,6 +12,13 @@ from mgsr.data.camera import Camera
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.native.cuda.activations import Activation
 from mgsr.native.cuda.launcher import Launcher, launcher_for
+from mgsr.native.structs import (
+    GaussianGradients,
+    GaussianImageGradients,
+    GaussianImages,
+    GaussianSplats,
+    Harmonics,
+)
 from mgsr.ops.activations import activated, activated_vjp
 from mgsr.ops.arrays import once_differentiable, plain
 from mgsr.ops.gaussians import GaussianOptions, GaussianPass
@@ -83,6 +90,14 @@ class _GaussianInputs:
     degrees: tuple[int, int]
     shading: Tensor | None
 
+    def transmitted(self, sh: Tensor, means: Tensor) -> Harmonics:
+        """Return the transmitted colours of Gaussians at means [N,3], from their coefficients [N,K,3]."""
+        return Harmonics(coeffs=sh, means=means, center=self.center, degree=self.degrees[0])
+
+    def reflected(self, sh: Tensor, means: Tensor) -> Harmonics:
+        """Return the reflected colours of Gaussians at means [N,3], from their coefficients [N,K,3]."""
+        return Harmonics(coeffs=sh, means=means, center=self.center, degree=self.degrees[1])
+
 
 class _RenderGaussians(torch.autograd.Function):
     """The rendering from stored parameters to images, in one node.
@@ -98,21 +113,27 @@ class _RenderGaussians(torch.autograd.Function):
         means, quats, log_scales, opacity_logits, sh, refl_opacity_logits, weight_logits, refl_sh = tensors
         logits = [each for each in (opacity_logits, refl_opacity_logits, weight_logits) if each is not None]
         used = activated(r.launcher, KINDS[: 1 + len(logits)], (log_scales, *logits))
-        rgb = harmonics(r.launcher, sh, means, r.center, r.degrees[0])
-        split: tuple[Tensor | None, ...] = (None, None, None)
-        if refl_sh is not None:
-            split = (used[2], harmonics(r.launcher, refl_sh, means, r.center, r.degrees[1]), used[3])
-        splats = (means, quats, *used[:2], rgb, *split, r.background)
+        refl_rgb = None if refl_sh is None else harmonics(r.launcher, r.reflected(refl_sh, means))
+        splats = GaussianSplats(
+            means=means,
+            quats=quats,
+            scales=used[0],
+            opacities=used[1],
+            colors=harmonics(r.launcher, r.transmitted(sh, means)),
+            refl_opacities=None if refl_sh is None else used[2],
+            refl_colors=refl_rgb,
+            weights=None if refl_sh is None else used[3],
+            background=r.background,
+        )
         images = r.raster.forward(splats)
         unlit, alpha, depth, own, weight = images
-        assert unlit is not None and alpha is not None
         transmitted = unlit if r.shading is None else apply_shading(r.launcher, unlit, alpha, r.background, r.shading)
         color, reflected = transmitted, None
         if own is not None or environment is not None:
             light = None if environment is None else plain(environment)
             by = alpha if weight is None else weight
             color, reflected = with_reflection(r.launcher, transmitted, by, own, light)
-        ctx.rendering, ctx.images = r, len(images)
+        ctx.rendering = r
         ctx.save_for_backward(sh, refl_sh, reflected, *splats, *images)
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(
@@ -125,7 +146,8 @@ class _RenderGaussians(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Tensor | None, ...]:
         r, (sh, refl_sh, reflected, *saved) = ctx.rendering, ctx.saved_tensors
-        splats, images = saved[: -ctx.images], saved[-ctx.images :]
+        count = len(GaussianSplats._fields)
+        splats, images = GaussianSplats._make(saved[:count]), GaussianImages._make(saved[count:])
         v_color, v_transmitted, v_alpha, v_depth, v_own, v_weight = (
             None if v is None else plain(v) for v in v_outputs[:6]
         )
@@ -133,33 +155,37 @@ class _RenderGaussians(torch.autograd.Function):
         if reflected is None:
             v_transmitted = v_color
         elif v_color is not None:
-            by, v_by = (images[1], v_alpha) if images[4] is None else (images[4], v_weight)
+            by, v_by = (images.alpha, v_alpha) if images.weight is None else (images.weight, v_weight)
             before = (v_transmitted, v_by, v_own)
             v_transmitted, v_by, v_own, v_environment = with_reflection_vjp(r.launcher, v_color, reflected, by, before)
-            v_alpha, v_weight = (v_by, None) if images[4] is None else (v_alpha, v_by)
-            v_own = None if images[3] is None else v_own
+            v_alpha, v_weight = (v_by, None) if images.weight is None else (v_alpha, v_by)
+            v_own = None if images.reflected is None else v_own
         if r.shading is not None and v_transmitted is not None:
             v_transmitted, v_alpha = apply_shading_vjp(r.launcher, v_transmitted, r.background, r.shading, v_alpha)
-        v_images = (v_transmitted, v_alpha, v_depth, v_own, v_weight)
+        v_images = GaussianImageGradients(
+            color=v_transmitted, alpha=v_alpha, depth=v_depth, reflected=v_own, weight=v_weight
+        )
         v_stored = _to_stored(r, sh, refl_sh, splats, r.raster.backward(splats, images, v_images))
         return None, v_environment if ctx.needs_input_grad[1] else None, *v_stored
 
 
 def _to_stored(
-    r: _GaussianInputs, sh: Tensor, refl_sh: Tensor | None, splats: list[Any], v_splats: list[Any]
+    r: _GaussianInputs, sh: Tensor, refl_sh: Tensor | None, splats: GaussianSplats, v: GaussianGradients
 ) -> tuple[Tensor | None, ...]:
     """Propagate the gradients of the rasterized splats [N,...] to the stored parameters."""
-    means, _, scales, opacities, rgb, refl_opacities, refl_rgb, weights, _ = splats
-    v_means, v_quats, v_scales, v_opacities, v_rgb, v_refl_opacities, v_refl_rgb, v_weights = v_splats
-    v_sh = harmonics_vjp(r.launcher, sh, means, r.center, r.degrees[0], rgb, v_rgb, v_means)
+    v_sh = harmonics_vjp(r.launcher, r.transmitted(sh, splats.means), splats.colors, v.colors, v.means)
     if refl_sh is None:
-        v_geometry = activated_vjp(r.launcher, KINDS[:2], (scales, opacities), (v_scales, v_opacities))
-        return v_means, v_quats, *v_geometry, v_sh, None, None, None
-    v_refl_sh = harmonics_vjp(r.launcher, refl_sh, means, r.center, r.degrees[1], refl_rgb, v_refl_rgb, v_means)
+        used, v_used = (splats.scales, splats.opacities), (v.scales, v.opacities)
+        return v.means, v.quats, *activated_vjp(r.launcher, KINDS[:2], used, v_used), v_sh, None, None, None
+    assert splats.refl_opacities is not None and splats.refl_colors is not None and splats.weights is not None
+    assert v.refl_colors is not None
+    v_refl_sh = harmonics_vjp(
+        r.launcher, r.reflected(refl_sh, splats.means), splats.refl_colors, v.refl_colors, v.means
+    )
     v_log_scales, *v_logits = activated_vjp(
         r.launcher,
         KINDS,
-        (scales, opacities, refl_opacities, weights),
-        (v_scales, v_opacities, v_refl_opacities, v_weights),
+        (splats.scales, splats.opacities, splats.refl_opacities, splats.weights),
+        (v.scales, v.opacities, v.refl_opacities, v.weights),
     )
-    return v_means, v_quats, v_log_scales, v_logits[0], v_sh, *v_logits[1:], v_refl_sh
+    return v.means, v.quats, v_log_scales, v_logits[0], v_sh, *v_logits[1:], v_refl_sh

@@ -12,6 +12,7 @@ from mgsr.data.camera import Camera
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.native.cuda.activations import Activation
 from mgsr.native.cuda.launcher import Launcher, launcher_for
+from mgsr.native.structs import Harmonics, SurfelImageGradients, SurfelImages, SurfelSplats
 from mgsr.ops.activations import activated, activated_vjp
 from mgsr.ops.arrays import once_differentiable, plain
 from mgsr.ops.harmonics import check_degree, harmonics, harmonics_vjp
@@ -78,14 +79,15 @@ class _RenderSurfels(torch.autograd.Function):
     def forward(ctx: Any, r: _SurfelInputs, *stored: Tensor) -> tuple[Tensor | None, ...]:
         means, quats, log_scales, opacity_logits, sh = (plain(tensor) for tensor in stored)
         scales, opacities = activated(r.launcher, KINDS, (log_scales, opacity_logits))
-        rgb = harmonics(r.launcher, sh, means, r.center, r.degree)
-        splats = (means, quats, scales, opacities, rgb, r.background)
+        rgb = harmonics(r.launcher, Harmonics(coeffs=sh, means=means, center=r.center, degree=r.degree))
+        splats = SurfelSplats(
+            means=means, quats=quats, scales=scales, opacities=opacities, colors=rgb, background=r.background
+        )
         images = r.raster.forward(splats)
-        color, alpha, unlit = images[0], images[1], None
-        assert color is not None and alpha is not None
+        color, unlit = images.color, None
         if r.shading is not None:
-            unlit, color = color, apply_shading(r.launcher, color, alpha, r.background, r.shading)
-        ctx.rendering, ctx.images = r, len(images)
+            unlit, color = color, apply_shading(r.launcher, color, images.alpha, r.background, r.shading)
+        ctx.rendering = r
         ctx.save_for_backward(sh, *splats, *images)
         ctx.set_materialize_grads(False)
         if unlit is not None:
@@ -96,12 +98,14 @@ class _RenderSurfels(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Tensor | None, ...]:
         r, (sh, *saved) = ctx.rendering, ctx.saved_tensors
-        splats, images = saved[: -ctx.images], saved[-ctx.images :]
-        v_images = [None if v is None else plain(v) for v in v_outputs[:-1]]
-        if r.shading is not None and v_images[0] is not None:
-            v_images[:2] = apply_shading_vjp(r.launcher, v_images[0], r.background, r.shading, v_images[1])
-        v_means, v_quats, v_scales, v_opacities, v_rgb = r.raster.backward(splats, images, v_images)
-        means, _, scales, opacities, rgb, _ = splats
-        v_sh = harmonics_vjp(r.launcher, sh, means, r.center, r.degree, rgb, v_rgb, v_means)
-        v_stored = activated_vjp(r.launcher, KINDS, (scales, opacities), (v_scales, v_opacities))
-        return None, v_means, v_quats, *v_stored, v_sh
+        count = len(SurfelSplats._fields)
+        splats, images = SurfelSplats._make(saved[:count]), SurfelImages._make(saved[count:])
+        v_images = SurfelImageGradients._make(None if v is None else plain(v) for v in v_outputs[:-1])
+        if r.shading is not None and v_images.color is not None:
+            v_color, v_alpha = apply_shading_vjp(r.launcher, v_images.color, r.background, r.shading, v_images.alpha)
+            v_images = v_images._replace(color=v_color, alpha=v_alpha)
+        v = r.raster.backward(splats, images, v_images)
+        colored = Harmonics(coeffs=sh, means=splats.means, center=r.center, degree=r.degree)
+        v_sh = harmonics_vjp(r.launcher, colored, splats.colors, v.colors, v.means)
+        v_stored = activated_vjp(r.launcher, KINDS, (splats.scales, splats.opacities), (v.scales, v.opacities))
+        return None, v.means, v.quats, *v_stored, v_sh

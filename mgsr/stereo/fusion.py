@@ -27,6 +27,7 @@ from mgsr.geometry.displace import mean_normals
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import drop_small_pieces
 from mgsr.native import _fusion
+from mgsr.native.structs import VotingMaps
 from mgsr.stereo.patch_match import DepthMap
 
 
@@ -81,10 +82,12 @@ class _Votes:
     def on(self, points: np.ndarray) -> np.ndarray:
         """Return the histograms [P,bins] float32 of the depth maps' votes on the signed distances of points [P,3]."""
         votes = np.empty((len(points), self.options.bins), np.float32)
-        cameras = np.stack([pinhole_row(camera) for camera in self.cameras])
-        depths = [found.depth for found in self.maps]
-        solid = self.options.solid_weight, self.options.solid_depth
-        _fusion.vote(points, cameras, depths, self.weights, self.reach, *solid, votes)
+        maps = VotingMaps(
+            cameras=np.stack([pinhole_row(camera) for camera in self.cameras]),
+            depths=[found.depth for found in self.maps],
+            weights=self.weights,
+        )
+        _fusion.vote(points, maps, self.reach, self.options.solid_weight, self.options.solid_depth, votes)
         return votes
 
 

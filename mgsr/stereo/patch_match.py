@@ -8,15 +8,16 @@ surface, such as the visual hull, and prefers it where the photographs are ambig
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from mgsr.config.expert import ConsistencyOptions, PatchMatchOptions
+from mgsr.config.expert import ConsistencyOptions, MatchSettings, PatchMatchOptions
 from mgsr.data.camera import Camera
 from mgsr.data.images import reduce_area
 from mgsr.geometry.raycast import RayCaster, pixel_rays
 from mgsr.native import _stereo
+from mgsr.native.structs import StereoPlanes, StereoSettings, StereoViews
 from mgsr.parallel import map_ahead
 from mgsr.stereo.photographs import StereoPhotographs
 
@@ -64,20 +65,35 @@ def _match(
     seen = start.cast(camera)
     turn = camera.cam_from_world[:3, :3]
     _stereo.search(
-        photographs.images,
-        photographs.packed_cameras,
-        view,
-        neighbours,
-        np.ascontiguousarray(seen.depth, np.float32),
-        np.ascontiguousarray(seen.normal @ turn.T, np.float32),
-        search_range(camera, options.half_depth),
-        [float(each) for each in astuple(options.settings)],
-        (seed * 1_000_003 + view) % 2**32,
-        depth,
-        normal,
-        score,
+        views=stereo_views(photographs, view, neighbours, options.half_depth),
+        start=StereoPlanes(
+            depth=np.ascontiguousarray(seen.depth, np.float32),
+            normal=np.ascontiguousarray(seen.normal @ turn.T, np.float32),
+        ),
+        settings=stereo_settings(options.settings),
+        seed=(seed * 1_000_003 + view) % 2**32,
+        found=StereoPlanes(depth=depth, normal=normal),
+        score=score,
     )
     return DepthMap(depth, (normal @ turn).astype(np.float32), score)
+
+
+def stereo_settings(settings: MatchSettings) -> StereoSettings:
+    """Return the settings of the matching as the kernels take them."""
+    return StereoSettings(**asdict(settings))
+
+
+def stereo_views(
+    photographs: StereoPhotographs, view: int, neighbours: Sequence[int], half_depth: float
+) -> StereoViews:
+    """Return a photograph and its neighbours as the kernels take them; half_depth: as for `search_range`."""
+    return StereoViews(
+        images=photographs.images,
+        cameras=photographs.packed_cameras,
+        view=view,
+        neighbours=neighbours,
+        range=search_range(photographs.cameras[view], half_depth),
+    )
 
 
 def search_range(camera: Camera, half_depth: float) -> tuple[float, float]:

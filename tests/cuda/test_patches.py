@@ -14,6 +14,7 @@ from mgsr.native.cuda import tiles
 from mgsr.native.cuda.gaussians import ProjectParams, splats_struct
 from mgsr.native.cuda.params import Int, Long, Pointer, pointer, pointers
 from mgsr.native.cuda.tiles import TILE
+from mgsr.native.structs import GaussianSplats, GaussianView
 from tests.cuda_shim import launcher
 from tests.cuda_shim.launcher import HERE, ShimLauncher, compile_with_shim
 from tests.ops.splat_scenes import camera
@@ -44,15 +45,19 @@ def kernels() -> Iterator[None]:
 def project(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return records [N,16] and outlines [N,12] of seen splats, round ones and needles, all over the image."""
     g = torch.Generator().manual_seed(3)
-    splats = (
-        torch.rand(count, 3, generator=g) * 2 - 1,
-        torch.randn(count, 4, generator=g),
-        0.02 * torch.exp(1.2 * torch.randn(count, 3, generator=g)),
-        torch.rand(count, generator=g) ** 2,
-        torch.rand(count, 3, generator=g),
+    splats = GaussianSplats(
+        means=torch.rand(count, 3, generator=g) * 2 - 1,
+        quats=torch.randn(count, 4, generator=g),
+        scales=0.02 * torch.exp(1.2 * torch.randn(count, 3, generator=g)),
+        opacities=torch.rand(count, generator=g) ** 2,
+        colors=torch.rand(count, 3, generator=g),
+        refl_opacities=None,
+        refl_colors=None,
+        weights=None,
+        background=torch.zeros(3),
     )
-    view = camera(WIDTH, HEIGHT)
-    struct = splats_struct((*splats, None, None, None), (view.K, view.cam_from_world, WIDTH, HEIGHT, 0.01, 0.3, 0))
+    view = GaussianView(camera=camera(WIDTH, HEIGHT), near=0.01, low_pass=0.3, compensate=False)
+    struct = splats_struct(splats, view)
     projected = tiles.project(ShimLauncher(), "gaussians", ProjectParams, struct, torch.empty(count))
     seen = projected.whole.tile_counts > 0
     return projected.records[seen].numpy(), projected.outlines[seen].numpy()

@@ -16,6 +16,7 @@ from mgsr.data.camera import Camera
 from mgsr.native.cuda.gaussians import ProjectParams, splats_struct
 from mgsr.native.cuda.params import Pointer, pointer
 from mgsr.native.cuda.tiles import OUTLINE_FLOATS, RECORD_FLOATS, SPLAT_THREADS, splat_blocks
+from mgsr.native.structs import GaussianSplats, GaussianView
 from tests.cuda_shim import launcher
 from tests.cuda_shim.launcher import HERE, ShimLauncher, compile_with_shim
 from tests.ops.splat_scenes import camera
@@ -65,11 +66,18 @@ def kernels() -> Iterator[None]:
 
 def project(kernel: str, splats: Splats, view: Camera, compensate: bool) -> Projection:
     count = len(splats.means)
-    colors = torch.zeros(count, 3)
-    tensors = (splats.means, splats.quats, splats.scales, splats.opacities, colors, None, None, None)
-    struct = splats_struct(
-        tensors, (view.K, view.cam_from_world, view.width, view.height, NEAR, LOW_PASS, int(compensate))
+    given = GaussianSplats(
+        means=splats.means,
+        quats=splats.quats,
+        scales=splats.scales,
+        opacities=splats.opacities,
+        colors=torch.zeros(count, 3),
+        refl_opacities=None,
+        refl_colors=None,
+        weights=None,
+        background=torch.zeros(3),
     )
+    struct = splats_struct(given, GaussianView(camera=view, near=NEAR, low_pass=LOW_PASS, compensate=compensate))
     records, outlines = torch.zeros(count, RECORD_FLOATS), torch.zeros(count, OUTLINE_FLOATS)
     depths, radii = torch.zeros(count), torch.zeros(count)
     tile_counts, sights = torch.zeros(count, dtype=torch.int32), torch.zeros(count, dtype=torch.int32)

@@ -17,17 +17,14 @@ def case(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 
 def project(mean: np.ndarray, quat: np.ndarray, scale: np.ndarray, camera: np.ndarray) -> np.ndarray:
-    out = np.empty(7)
-    _gaussians.project_double(mean, quat, scale, camera, 0.3, out)
-    return out
+    return np.array(_gaussians.project_double(mean, quat, scale, camera, 0.3))
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_projection_vjp(seed: int) -> None:
     mean, quat, scale, camera = case(seed)
     v_out = np.random.default_rng(seed + 99).normal(size=7)
-    grads = [np.zeros(3), np.zeros(4), np.zeros(3)]
-    _gaussians.project_double_vjp(mean, quat, scale, camera, 0.3, v_out, *grads)
+    grads = _gaussians.project_double_vjp(mean, quat, scale, camera, 0.3, v_out)
     for which, (value, grad) in enumerate(zip((mean, quat, scale), grads, strict=True)):
         for i in range(len(value)):
             ends: list[float] = []

@@ -41,7 +41,7 @@ def judge(
 
     images: [h,w,4] float64, sRGB and the share of the object; depths [P] camera z; normals [P,3], unit, of the camera's
     frame; span: the least and the largest depth that count; settings: radius, spacing, noise, alike, reach, best, cover
-    as `MatchSettings` has them.
+    as `StereoSettings` has them.
     """
     rays = np.concatenate([places + 0.5, np.ones((len(places), 1))], axis=1) @ np.linalg.inv(cameras[0].K).T
     facing = (normals * rays).sum(axis=1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
@@ -11,6 +11,8 @@ from scipy import ndimage
 from mgsr.config.expert import MatchSettings
 from mgsr.data.camera import Camera
 from mgsr.native import _stereo
+from mgsr.native.structs import StereoPlanes, StereoViews
+from mgsr.stereo.patch_match import stereo_settings
 from mgsr.stereo.photographs import StereoPhotographs
 from tests.mesh.shapes import looking_at_origin
 
@@ -34,9 +36,15 @@ class PatternedPlane:
     def judged(self, settings: MatchSettings, others: Sequence[int] = range(1, OTHERS + 1)) -> np.ndarray:
         """Score [h,w] the planes by the kernel, against all other photographs or some."""
         score = np.full((SIDE, SIDE), np.nan, np.float32)
-        images, cameras = self.photographs.images, self.photographs.packed_cameras
-        numbers = [float(each) for each in astuple(settings)]
-        _stereo.judge(images, cameras, 0, list(others), self.depth, self.normal, self.span, numbers, score)
+        views = StereoViews(
+            images=self.photographs.images,
+            cameras=self.photographs.packed_cameras,
+            view=0,
+            neighbours=list(others),
+            range=self.span,
+        )
+        planes = StereoPlanes(depth=self.depth, normal=self.normal)
+        _stereo.judge(views, planes, stereo_settings(settings), score)
         return score
 
 

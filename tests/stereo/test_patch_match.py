@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,8 @@ from mgsr.config.expert import MatchSettings, PatchMatchOptions
 from mgsr.data.scene import View
 from mgsr.geometry.raycast import RayCaster, pixel_rays
 from mgsr.native import _stereo
-from mgsr.stereo.patch_match import DepthMap, match_views, weigh, weigh_gaps
+from mgsr.native.structs import StereoPlanes, StereoSettings, StereoViews
+from mgsr.stereo.patch_match import DepthMap, match_views, stereo_settings, weigh, weigh_gaps
 from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
 from tests.ops.variants import ISAS, variant
 from tests.stereo.pressed_ball import CAP, cameras_above, hull, photographs, pressed, with_noise
@@ -105,9 +106,12 @@ def test_scores_are_what_judge_says_less_the_prior(few: StereoPhotographs, start
 
 def judge(few: StereoPhotographs, depth: np.ndarray, normal: np.ndarray, settings: MatchSettings) -> np.ndarray:
     """Score [h,w] planes of the first photograph, with normals [h,w,3] of the world's frame, by all others."""
-    score, numbers = np.empty(depth.shape, np.float32), [float(each) for each in astuple(settings)]
+    score = np.empty(depth.shape, np.float32)
     turned = np.ascontiguousarray(normal @ few.cameras[0].cam_from_world[:3, :3].T, np.float32)
-    _stereo.judge(few.images, few.packed_cameras, 0, [1, 2, 3, 4], depth, turned, (1.9, 4.1), numbers, score)
+    views = StereoViews(
+        images=few.images, cameras=few.packed_cameras, view=0, neighbours=[1, 2, 3, 4], range=(1.9, 4.1)
+    )
+    _stereo.judge(views, StereoPlanes(depth=depth, normal=turned), stereo_settings(settings), score)
     return score
 
 
@@ -232,70 +236,97 @@ def test_views_that_look_past_a_place_outvote_those_that_confirm_it(
     assert (in_the_bowl(few, before) > 0).mean() > 0.9
 
 
-def arguments(few: StereoPhotographs) -> dict[str, Any]:
-    """Return what `search` takes, right in everything."""
-    grey, vectors = np.zeros((48, 48), np.float32), np.zeros((48, 48, 3), np.float32)
-    return {
-        "images": few.images,
-        "cameras": few.packed_cameras,
-        "view": 0,
-        "neighbours": [1, 2],
-        "start_depth": grey,
-        "start_normal": vectors,
-        "range": (2.0, 4.0),
-        "settings": [float(each) for each in astuple(MatchSettings())],
-        "seed": 0,
-        "depth": grey.copy(),
-        "normal": vectors.copy(),
-        "score": grey.copy(),
-    }
+Changed = dict[str, Any]
+
+
+def views(few: StereoPhotographs, **changed: object) -> StereoViews:
+    usual = StereoViews(images=few.images, cameras=few.packed_cameras, view=0, neighbours=[1, 2], range=(2.0, 4.0))
+    return usual._replace(**changed)  # type: ignore[arg-type]
+
+
+def planes(**changed: object) -> StereoPlanes:
+    usual = StereoPlanes(depth=np.zeros((48, 48), np.float32), normal=np.zeros((48, 48, 3), np.float32))
+    return usual._replace(**changed)  # type: ignore[arg-type]
+
+
+def settings(**changed: object) -> StereoSettings:
+    return stereo_settings(MatchSettings())._replace(**changed)  # type: ignore[arg-type]
+
+
+def search(few: StereoPhotographs, group: str = "", name: str = "", wrong: object = None) -> None:
+    """Search with arguments that are right in everything, but for one of a group."""
+    changed: dict[str, Changed] = {group: {name: wrong}}
+    score = changed.get("", {}).get("score", np.zeros((48, 48), np.float32))
+    _stereo.search(
+        views(few, **changed.get("views", {})),
+        planes(**changed.get("start", {})),
+        settings(**changed.get("settings", {})),
+        0,
+        planes(**changed.get("found", {})),
+        score,
+    )
+
+
+def judge_alike(few: StereoPhotographs, group: str, name: str, wrong: object) -> None:
+    """Judge with such arguments."""
+    changed: dict[str, Changed] = {group: {name: wrong}}
+    score = changed.get("", {}).get("score", np.zeros((48, 48), np.float32))
+    _stereo.judge(
+        views(few, **changed.get("views", {})),
+        planes(**changed.get("start", {})),
+        settings(**changed.get("settings", {})),
+        score,
+    )
 
 
 @pytest.mark.parametrize(
-    ("name", "wrong", "message"),
+    ("group", "name", "wrong", "message"),
     [
-        ("cameras", np.zeros((4, 16), np.float32), "cameras"),
-        ("view", 5, "view"),
-        ("neighbours", [1, 5], "neighbours"),
-        ("neighbours", [1, 0], "neighbours"),
-        ("start_depth", np.zeros((48, 47), np.float32), "size"),
-        ("start_normal", np.zeros((47, 48, 3), np.float32), "size"),
-        ("depth", np.zeros((47, 48), np.float32), "size"),
-        ("normal", np.zeros((48, 47, 3), np.float32), "size"),
-        ("score", np.zeros((47, 48), np.float32), "size"),
-        ("range", (0.0, 4.0), "range"),
-        ("range", (4.0, 2.0), "range"),
-        ("range", (float("nan"), 2.0), "range"),
-        ("settings", [1.0] * 10, "settings"),
-        ("settings", [5.0] * 11, "settings"),
-        ("settings", [1.0] * 5 + [0.0] * 6, "settings"),
+        ("views", "cameras", np.zeros((4, 16), np.float32), "cameras"),
+        ("views", "view", 5, "view"),
+        ("views", "neighbours", [1, 5], "neighbours"),
+        ("views", "neighbours", [1, 0], "neighbours"),
+        ("start", "depth", np.zeros((48, 47), np.float32), "size"),
+        ("start", "normal", np.zeros((47, 48, 3), np.float32), "size"),
+        ("found", "depth", np.zeros((47, 48), np.float32), "size"),
+        ("found", "normal", np.zeros((48, 47, 3), np.float32), "size"),
+        ("", "score", np.zeros((47, 48), np.float32), "size"),
+        ("views", "range", (0.0, 4.0), "range"),
+        ("views", "range", (4.0, 2.0), "range"),
+        ("views", "range", (float("nan"), 2.0), "range"),
+        ("settings", "radius", 5, "settings"),
+        ("settings", "radius", -1, "settings"),
+        ("settings", "best", 0, "settings"),
     ],
 )
-def test_what_cannot_be_searched_is_refused(few: StereoPhotographs, name: str, wrong: object, message: str) -> None:
-    _stereo.search(**arguments(few))
+def test_what_cannot_be_searched_is_refused(
+    few: StereoPhotographs, group: str, name: str, wrong: object, message: str
+) -> None:
+    search(few)
     with pytest.raises(ValueError, match=message):
-        _stereo.search(**{**arguments(few), name: wrong})
-    if name in ("depth", "normal"):
+        search(few, group, name, wrong)
+    if group == "found":
         return
-    judged = {key: value for key, value in {**arguments(few), name: wrong}.items() if key != "seed"}
-    judged["depth"], judged["normal"] = judged.pop("start_depth"), judged.pop("start_normal")
     with pytest.raises(ValueError, match=message):
-        _stereo.judge(**judged)
+        judge_alike(few, group, name, wrong)
 
 
 @pytest.mark.parametrize(
-    ("name", "wrong"),
+    ("group", "name", "wrong", "message"),
     [
-        ("images", [np.zeros((48, 48, 3), np.float32)] * 5),
-        ("cameras", np.zeros((5, 12), np.float32)),
-        ("view", -1),
-        ("start_depth", None),
-        ("depth", np.zeros((48, 48, 1), np.float32)),
+        ("views", "images", [np.zeros((48, 48, 3), np.float32)] * 5, r"views\.images: .* got float32 \[48, 48, 3\]"),
+        ("views", "cameras", np.zeros((5, 12), np.float32), r"views\.cameras: .* got float32 \[5, 12\]"),
+        ("views", "view", -1, r"views\.view: .* got -1"),
+        ("start", "depth", None, r"start\.depth: .* got NoneType"),
+        ("found", "depth", np.zeros((48, 48, 1), np.float32), r"found\.depth: .* got float32 \[48, 48, 1\]"),
+        ("settings", "radius", 1.5, r"settings\.radius: .* got 1\.5"),
     ],
 )
-def test_what_has_another_form_is_refused(few: StereoPhotographs, name: str, wrong: object) -> None:
-    with pytest.raises(TypeError):
-        _stereo.search(**{**arguments(few), name: wrong})
+def test_what_has_another_form_is_refused(
+    few: StereoPhotographs, group: str, name: str, wrong: object, message: str
+) -> None:
+    with pytest.raises(TypeError, match=message):
+        search(few, group, name, wrong)
 
 
 def test_coarser_maps_count_where_finer_ones_hold_nothing() -> None:

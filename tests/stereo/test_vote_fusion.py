@@ -8,6 +8,7 @@ import pytest
 
 from mgsr.data.camera import Camera, pinhole_row
 from mgsr.native import _fusion, runtime
+from mgsr.native.structs import VotingMaps
 from tests.mesh.shapes import cameras_around
 from tests.oracles.vote_fusion import best_row, energy, least_energy, vote
 
@@ -35,7 +36,7 @@ def cameras_of_two_sizes() -> list[Camera]:
 def voted(points: np.ndarray, cameras: list[Camera], depths: list[np.ndarray], weights: list[np.ndarray]) -> np.ndarray:
     votes = np.full((len(points), BINS), np.nan, np.float32)
     rows = np.stack([pinhole_row(camera) for camera in cameras])
-    _fusion.vote(points, rows, depths, weights, REACH, *SOLID, votes)
+    _fusion.vote(points, VotingMaps(cameras=rows, depths=depths, weights=weights), REACH, *SOLID, votes)
     return votes
 
 

@@ -2,7 +2,7 @@
 #include <cmath>
 #include <tuple>
 
-#include "bindings/arrays.h"
+#include "bindings/fields.h"
 #include "kernels/adam/adam.h"
 
 namespace mgsr {
@@ -23,16 +23,20 @@ class AdamBatch {
   AdamBatch(float beta1, float beta2, float epsilon) : beta1_(beta1), beta2_(beta2), epsilon_(epsilon) {}
 
   // step: number of this update, counted from 1.
-  void add(const Matrix& values, const ConstMatrix& gradients, const Matrix& first, const Matrix& second,
-           const ConstRow& column_scales, double rate, int64_t step) {
+  void add(nb::handle parameter, nb::handle gradients, double rate, int64_t step) {
+    const Fields fields(parameter, "parameter");
+    const auto values = fields.array<Matrix>("values");
+    const auto first = fields.array<Matrix>("first"), second = fields.array<Matrix>("second");
+    const auto column_scales = fields.array_or_none<ConstRow>("column_scales");
+    const auto of_gradients = read<ConstMatrix>(gradients, "gradients");
     const size_t rows = values.shape(0), columns = values.shape(1);
     const auto fits = [&](const auto& a) { return a.shape(0) == rows && a.shape(1) == columns; };
-    expect(fits(gradients) && fits(first) && fits(second), "gradients, moments: expected the parameter's shape");
+    expect(fits(of_gradients) && fits(first) && fits(second), "gradients, moments: expected the parameter's shape");
     expect(!column_scales.is_valid() || column_scales.shape(0) == columns, "column_scales: expected one per column");
     expect(step >= 1, "step: expected a count from 1");
     AdamGroup g;
     g.rows = int64_t(rows), g.columns = int(columns);
-    g.values = values.data(), g.gradients = gradients.data(), g.first = first.data(), g.second = second.data();
+    g.values = values.data(), g.gradients = of_gradients.data(), g.first = first.data(), g.second = second.data();
     g.column_scales = pointer_or_null(column_scales);
     g.rate = float(rate / (1 - std::pow(double(beta1_), double(step))));
     g.step = {beta1_, beta2_, epsilon_, float(1 / std::sqrt(1 - std::pow(double(beta2_), double(step))))};
@@ -52,12 +56,14 @@ class AdamBatch {
   std::vector<AdamGroup> groups_;
 };
 
-// One number through the same templates in float64, for the tests of the maths: new value, first, second.
+// One number through the same templates in float64, for the tests of the maths: new value, first, second. step: beta1,
+// beta2, epsilon and root_scale of AdamStep.
 std::tuple<double, double, double> adam_double(double value, double gradient, double first, double second, double rate,
-                                               float beta1, float beta2, float epsilon, float root_scale) {
-  const AdamStep step = {beta1, beta2, epsilon, root_scale};
-  adam_moments(step, gradient, first, second);
-  return {value - adam_change(step, rate, first, std::sqrt(second)), first, second};
+                                               const std::tuple<float, float, float, float>& step) {
+  const auto [beta1, beta2, epsilon, root_scale] = step;
+  const AdamStep s = {beta1, beta2, epsilon, root_scale};
+  adam_moments(s, gradient, first, second);
+  return {value - adam_change(s, rate, first, std::sqrt(second)), first, second};
 }
 
 }  // namespace
@@ -68,9 +74,9 @@ NB_MODULE(_adam, m) {
   bind_choices(m, choice());
   nb::class_<AdamBatch>(m, "AdamBatch")
       .def(nb::init<float, float, float>(), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"))
-      .def("add", &AdamBatch::add, nb::arg("values"), nb::arg("gradients"), nb::arg("first"), nb::arg("second"),
-           nb::arg("column_scales").none(), nb::arg("rate"), nb::arg("step"),
+      .def("add", &AdamBatch::add, nb::arg("parameter"), nb::arg("gradients"), nb::arg("rate"), nb::arg("step"),
            "The arrays must stay alive until update returns.")
       .def("update", &AdamBatch::update);
-  m.def("adam_double", &adam_double);
+  m.def("adam_double", &adam_double, nb::arg("value"), nb::arg("gradient"), nb::arg("first"), nb::arg("second"),
+        nb::arg("rate"), nb::arg("step"));
 }

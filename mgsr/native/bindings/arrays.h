@@ -1,4 +1,5 @@
-// Array arguments of the bindings, and what every family exposes beside its kernels.
+// Array arguments of the bindings, and what every family exposes beside its kernels. Arguments come as handles and are
+// read by name, so that an error names what was expected and what came; the types stand in the stubs.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -20,7 +21,48 @@ namespace nb = nanobind;
 template <class T, class... Options>
 using Array = nb::ndarray<T, nb::c_contig, nb::device::cpu, Options...>;
 
-// An array argument that may be None: its pointer, or null.
+// What came in place of an array: its dtype, shape, layout and place, or the name of another type.
+inline std::string describe(nb::handle given) {
+  nb::ndarray<nb::ro> array;
+  if (given.is_none() || !nb::try_cast(given, array, false)) return nb::type_name(given.type()).c_str();
+  const auto dtype = array.dtype();
+  const auto code = nb::dlpack::dtype_code(dtype.code);
+  std::string text = code == nb::dlpack::dtype_code::Float  ? "float"
+                     : code == nb::dlpack::dtype_code::Int  ? "int"
+                     : code == nb::dlpack::dtype_code::UInt ? "uint"
+                     : code == nb::dlpack::dtype_code::Bool ? "bool"
+                                                            : "another dtype of ";
+  text += std::to_string(dtype.bits) + " [";
+  int64_t packed = 1;
+  bool contiguous = true;
+  for (size_t i = array.ndim(); i-- > 0; packed *= int64_t(array.shape(i)))
+    contiguous &= array.shape(i) <= 1 || array.stride(i) == packed;
+  for (size_t i = 0; i < array.ndim(); ++i) text += (i ? ", " : "") + std::to_string(array.shape(i));
+  text += contiguous ? "]" : "], not contiguous";
+  return array.device_type() == nb::device::cpu::value ? text : text + ", on another device";
+}
+
+template <class A>
+[[noreturn]] void refuse(nb::handle given, const std::string& name) {
+  const std::string expected = nb::detail::make_caster<A>::Name.text;
+  throw nb::type_error((name + ": expected " + expected + ", got " + describe(given)).c_str());
+}
+
+// The array given under a name. It is never converted: the kernel would write to a copy.
+template <class A>
+A read(nb::handle given, const char* name) {
+  A array;
+  if (!nb::try_cast(given, array, false)) refuse<A>(given, name);
+  return array;
+}
+
+// The same, or an invalid array for None.
+template <class A>
+A read_or_none(nb::handle given, const char* name) {
+  return given.is_none() ? A() : read<A>(given, name);
+}
+
+// An array that may be None: its pointer, or null.
 template <class A>
 auto pointer_or_null(const A& array) {
   return array.is_valid() ? array.data() : nullptr;

@@ -1,5 +1,8 @@
 // Python module mgsr.native._stereo.
-#include "bindings/arrays.h"
+#include <algorithm>
+#include <utility>
+
+#include "bindings/fields.h"
 #include "kernels/stereo/stereo.h"
 
 namespace mgsr {
@@ -27,15 +30,15 @@ StereoView view_of(const Pixels& pixels, const float* camera) {
   return view;
 }
 
-// settings: of StereoSettings, in its order.
-StereoSettings settings_of(const std::vector<float>& settings) {
-  expect(settings.size() == 11, "settings: expected 11 numbers");
-  expect(settings[0] >= 0 && settings[0] <= 4 && settings[5] >= 1,
-         "settings: expected a radius of 0 to 4, and a best of 1 at least");
+StereoSettings settings_of(const Fields& fields) {
   StereoSettings s;
-  s.radius = int(settings[0]), s.spacing = settings[1], s.noise = settings[2], s.alike = settings[3];
-  s.reach = settings[4], s.best = int(settings[5]), s.cover = settings[6], s.prior = settings[7];
-  s.prior_reach = settings[8], s.search = settings[9], s.rounds = int(settings[10]);
+  s.radius = fields.value<int>("radius"), s.spacing = fields.value<float>("spacing");
+  s.noise = fields.value<float>("noise"), s.alike = fields.value<float>("alike");
+  s.reach = fields.value<float>("reach"), s.best = fields.value<int>("best"), s.cover = fields.value<float>("cover");
+  s.prior = fields.value<float>("prior"), s.prior_reach = fields.value<float>("prior_reach");
+  s.search = fields.value<float>("search"), s.rounds = fields.value<int>("rounds");
+  expect(s.radius >= 0 && s.radius <= 4 && s.best >= 1,
+         "settings: expected a radius of 0 to 4, and a best of 1 at least");
   return s;
 }
 
@@ -44,44 +47,53 @@ void expect_size(const A& array, const StereoView& view) {
   expect(int(array.shape(0)) == view.height && int(array.shape(1)) == view.width, "expected images of the view's size");
 }
 
-StereoParams params(const std::vector<Pixels>& images, const Cameras& cameras, size_t view,
-                    const std::vector<size_t>& neighbours, const Grey<const float>& start_depth,
-                    const Vectors<const float>& start_normal, std::tuple<float, float> range,
-                    const std::vector<float>& settings) {
+// The depth and the normal at each pixel of a view, of a struct StereoPlanes.
+template <class T>
+std::pair<T*, T*> planes_of(const Fields& fields, const StereoView& view) {
+  const auto depth = fields.array<Grey<T>>("depth");
+  const auto normal = fields.array<Vectors<T>>("normal");
+  expect_size(depth, view), expect_size(normal, view);
+  return {depth.data(), normal.data()};
+}
+
+float* score_of(nb::handle score, const StereoView& view) {
+  const auto array = read<Grey<float>>(score, "score");
+  expect_size(array, view);
+  return array.data();
+}
+
+StereoParams params_of(const Fields& views, const Fields& start, const Fields& settings) {
+  const auto images = views.arrays<Pixels>("images");
+  const auto cameras = views.array<Cameras>("cameras");
+  const auto view = views.value<size_t>("view");
   expect(cameras.shape(0) == images.size(), "cameras: expected one for each image");
   expect(view < images.size(), "view: expected an image's number");
   StereoParams p;
   p.settings = settings_of(settings);
   p.view = view_of(images[view], cameras.data() + 16 * view);
-  for (const size_t other : neighbours) {
+  for (const auto other : views.value<std::vector<size_t>>("neighbours")) {
     expect(other < images.size() && other != view, "neighbours: expected other images' numbers");
     p.neighbours.push_back(view_of(images[other], cameras.data() + 16 * other));
   }
-  expect_size(start_depth, p.view), expect_size(start_normal, p.view);
-  p.start_depth = start_depth.data(), p.start_normal = start_normal.data();
-  std::tie(p.nearest, p.farthest) = range;
+  std::tie(p.start_depth, p.start_normal) = planes_of<const float>(start, p.view);
+  std::tie(p.nearest, p.farthest) = views.value<std::tuple<float, float>>("range");
   expect(p.nearest > 0 && p.farthest > p.nearest, "range: expected 0 < nearest < farthest");
   return p;
 }
 
-void search(const std::vector<Pixels>& images, const Cameras& cameras, size_t view,
-            const std::vector<size_t>& neighbours, const Grey<const float>& start_depth,
-            const Vectors<const float>& start_normal, std::tuple<float, float> range,
-            const std::vector<float>& settings, uint32_t seed, const Grey<float>& depth, const Vectors<float>& normal,
-            const Grey<float>& score) {
-  StereoParams p = params(images, cameras, view, neighbours, start_depth, start_normal, range, settings);
-  expect_size(depth, p.view), expect_size(normal, p.view), expect_size(score, p.view);
-  p.seed = seed, p.depth = depth.data(), p.normal = normal.data(), p.score = score.data();
+void search(nb::handle views, nb::handle start, nb::handle settings, uint32_t seed, nb::handle found, nb::handle score) {
+  const Fields of_views(views, "views"), of_start(start, "start"), of_found(found, "found");
+  StereoParams p = params_of(of_views, of_start, Fields(settings, "settings"));
+  std::tie(p.depth, p.normal) = planes_of<float>(of_found, p.view);
+  p.seed = seed, p.score = score_of(score, p.view);
   nb::gil_scoped_release release;
   choice()->search(p);
 }
 
-void judge(const std::vector<Pixels>& images, const Cameras& cameras, size_t view,
-           const std::vector<size_t>& neighbours, const Grey<const float>& depth, const Vectors<const float>& normal,
-           std::tuple<float, float> range, const std::vector<float>& settings, const Grey<float>& score) {
-  StereoParams p = params(images, cameras, view, neighbours, depth, normal, range, settings);
-  expect_size(score, p.view);
-  p.score = score.data();
+void judge(nb::handle views, nb::handle planes, nb::handle settings, nb::handle score) {
+  const Fields of_views(views, "views"), of_planes(planes, "planes");
+  StereoParams p = params_of(of_views, of_planes, Fields(settings, "settings"));
+  p.score = score_of(score, p.view);
   nb::gil_scoped_release release;
   choice()->judge(p);
 }
@@ -92,9 +104,7 @@ void judge(const std::vector<Pixels>& images, const Cameras& cameras, size_t vie
 NB_MODULE(_stereo, m) {
   using namespace mgsr;
   bind_choices(m, choice());
-  m.def("search", &search, nb::arg("images"), nb::arg("cameras"), nb::arg("view"), nb::arg("neighbours"),
-        nb::arg("start_depth"), nb::arg("start_normal"), nb::arg("range"), nb::arg("settings"), nb::arg("seed"),
-        nb::arg("depth").noconvert(), nb::arg("normal").noconvert(), nb::arg("score").noconvert());
-  m.def("judge", &judge, nb::arg("images"), nb::arg("cameras"), nb::arg("view"), nb::arg("neighbours"),
-        nb::arg("depth"), nb::arg("normal"), nb::arg("range"), nb::arg("settings"), nb::arg("score").noconvert());
+  m.def("search", &search, nb::arg("views"), nb::arg("start"), nb::arg("settings"), nb::arg("seed"), nb::arg("found"),
+        nb::arg("score"));
+  m.def("judge", &judge, nb::arg("views"), nb::arg("planes"), nb::arg("settings"), nb::arg("score"));
 }

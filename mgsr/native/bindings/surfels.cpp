@@ -1,11 +1,11 @@
 // Python's way to the 2D branch's kernels.
 #include "kernels/surfels/surfels.h"
 
-#include <cstring>
 #include <memory>
 
+#include "bindings/doubles.h"
+#include "bindings/fields.h"
 #include "bindings/frames.h"
-#include "bindings/raster_arrays.h"
 #include "math/surfel.h"
 
 namespace mgsr {
@@ -16,70 +16,98 @@ IsaChoice<SurfelKernels>& kernels() {
   return choice;
 }
 
-SurfelInputs make_inputs(const In& means, const In& quats, const In& scales, const In& opacities, const In& colors,
-                         const In& background, const Matrix& K, const Matrix& cam_from_world, int width, int height,
-                         float near, float far, float low_pass) {
-  const int64_t n = means.size() / 3;
+SurfelInputs inputs_of(const Fields& splats, const Fields& view) {
+  const auto means = splats.array<Array<const float, nb::shape<-1, 3>>>("means");
+  const int64_t n = int64_t(means.shape(0));
   SurfelInputs in;
   in.count = n;
-  in.means = data(means, 3 * n, "means");
-  in.quats = data(quats, 4 * n, "quats");
-  in.scales = data(scales, 2 * n, "scales");
-  in.opacities = data(opacities, n, "opacities");
-  in.colors = data(colors, 3 * n, "colors");
-  in.background = data(background, 3, "background");
-  in.camera = make_camera(K, cam_from_world, width, height);
-  in.width = width, in.height = height, in.near = near, in.far = far, in.low_pass = low_pass;
+  in.means = means.data();
+  in.quats = splats.data<const float>("quats", 4 * n);
+  in.scales = splats.data<const float>("scales", 2 * n);
+  in.opacities = splats.data<const float>("opacities", n);
+  in.colors = splats.data<const float>("colors", 3 * n);
+  in.background = splats.data<const float>("background", 3);
+  in.camera = camera_of(view.get("camera"));
+  in.width = int(in.camera.width), in.height = int(in.camera.height);
+  in.near = view.value<float>("near"), in.far = view.value<float>("far"), in.low_pass = view.value<float>("low_pass");
   return in;
 }
 
-template <class Array>
-SurfelImages make_images(int64_t pixels, const std::optional<Array>& color, const std::optional<Array>& alpha,
-                         const std::optional<Array>& depth, const std::optional<Array>& median_depth,
-                         const std::optional<Array>& normal, const std::optional<Array>& distortion) {
-  // Gradient images come in as const; the kernels only read those.
-  auto at = [](auto* p) { return const_cast<float*>(p); };
-  return {at(data(color, 3 * pixels, "color")), at(data(alpha, pixels, "alpha")), at(data(depth, pixels, "depth")),
-          at(data(median_depth, pixels, "median_depth")), at(data(normal, 3 * pixels, "normal")),
-          at(data(distortion, pixels, "distortion"))};
+SurfelImages images_of(const Fields& images, int64_t pixels) {
+  return {images.data<float>("color", 3 * pixels), images.data<float>("alpha", pixels),
+          images.data<float>("depth", pixels),     images.data<float>("median_depth", pixels),
+          images.data<float>("normal", 3 * pixels), images.data_or_null<float>("distortion", pixels)};
 }
 
-using Doubles = Array<const double>;
-using DoublesOut = Array<double>;
-
-const Camera<double>& double_camera(const Doubles& camera) {
-  expect(camera.size() * sizeof(double) == sizeof(Camera<double>), "camera: expected R[9], t[3], fx, fy, cx, cy, width, height");
-  return *reinterpret_cast<const Camera<double>*>(camera.data());
+SurfelImages image_gradients_of(const Fields& v_images, int64_t pixels) {
+  // The kernels only read these.
+  auto at = [&](const char* name, int64_t size) {
+    return const_cast<float*>(v_images.data_or_null<const float>(name, size));
+  };
+  return {at("color", 3 * pixels),  at("alpha", pixels),      at("depth", pixels),
+          at("median_depth", pixels), at("normal", 3 * pixels), at("distortion", pixels)};
 }
 
-// The projection in float64, for checks of the derivative: (mean, quat, scale) -> x, y, depth, L[4], g[2], normal[3].
-void project_double(Doubles mean, Doubles quat, Doubles scale, Doubles camera, DoublesOut out) {
-  expect(out.size() * sizeof(double) == sizeof(ProjectedSurfel<double>), "out: expected [12]");
+SurfelGradients gradients_of(const Fields& v, int64_t n) {
+  return {v.data<float>("means", 3 * n), v.data<float>("quats", 4 * n),  v.data<float>("scales", 2 * n),
+          v.data<float>("opacities", n), v.data<float>("colors", 3 * n), v.data<float>("means2d", 2 * n)};
+}
+
+Frame<SurfelState>* forward(nb::handle splats, nb::handle view, nb::handle images, nb::handle radii) {
+  const Fields of_splats(splats, "splats"), of_view(view, "view"), of_images(images, "images");
+  const SurfelInputs in = inputs_of(of_splats, of_view);
+  const SurfelImages out = images_of(of_images, int64_t(in.width) * in.height);
+  const auto of_radii = read<Array<float, nb::ndim<1>>>(radii, "radii");
+  expect(int64_t(of_radii.size()) == in.count, "radii: expected one for each splat");
+  auto frame = std::make_unique<Frame<SurfelState>>();
+  nb::gil_scoped_release release;
+  kernels()->forward(in, **frame, out, of_radii.data());
+  return frame.release();
+}
+
+void backward(Frame<SurfelState>& frame, nb::handle splats, nb::handle view, nb::handle images, nb::handle v_images,
+              nb::handle v_splats) {
+  const Fields of_splats(splats, "splats"), of_view(view, "view"), of_images(images, "images");
+  const Fields of_v_images(v_images, "v_images"), of_v_splats(v_splats, "v_splats");
+  const SurfelInputs in = inputs_of(of_splats, of_view);
+  const int64_t pixels = int64_t(in.width) * in.height;
+  const SurfelImages out = images_of(of_images, pixels), v_out = image_gradients_of(of_v_images, pixels);
+  const SurfelGradients v = gradients_of(of_v_splats, in.count);
+  nb::gil_scoped_release release;
+  kernels()->backward(in, *frame, out, v_out, v);
+}
+
+// A splat's frame in float64. mean, quat and scale have 3, 4 and 2 numbers.
+SurfelFrame<double> frame_double(const Doubles& mean, const Doubles& quat, const Doubles& scale, const Doubles& camera) {
+  expect(mean.size() == 3 && quat.size() == 4 && scale.size() == 2, "mean, quat, scale: expected 3, 4 and 2 numbers");
   SurfelFrame<double> f;
   surfel_frame(double_camera(camera), mean.data(), quat.data(), scale.data(), f);
-  const auto s = project_surfel(double_camera(camera), f);
-  std::memcpy(out.data(), &s, sizeof(s));
+  return f;
 }
 
-void project_double_vjp(Doubles mean, Doubles quat, Doubles scale, Doubles camera, Doubles v, DoublesOut v_mean,
-                        DoublesOut v_quat, DoublesOut v_scale) {
-  expect(v.size() * sizeof(double) == sizeof(ProjectedSurfel<double>), "v: expected [12]");
-  SurfelFrame<double> f;
-  surfel_frame(double_camera(camera), mean.data(), quat.data(), scale.data(), f);
-  ProjectedSurfel<double> g;
-  std::memcpy(&g, v.data(), sizeof(g));
-  project_surfel_vjp(double_camera(camera), quat.data(), scale.data(), f, g, v_mean.data(), v_quat.data(), v_scale.data());
+// The projection in float64, for checks of the derivative: x, y, depth, L[4], g[2], normal[3].
+std::vector<double> project_double(const Doubles& mean, const Doubles& quat, const Doubles& scale, const Doubles& camera) {
+  return numbers_of(project_surfel(double_camera(camera), frame_double(mean, quat, scale, camera)));
 }
 
-// The disk's image in float64: (mean, quat, scale), r2, near -> x, y, cxx, cxy, cyy relative to the projected centre.
-bool outline_double(Doubles mean, Doubles quat, Doubles scale, Doubles camera, double r2, double near, DoublesOut out) {
-  expect(out.size() * sizeof(double) == sizeof(SurfelOutline<double>), "out: expected [5]");
-  SurfelFrame<double> f;
-  surfel_frame(double_camera(camera), mean.data(), quat.data(), scale.data(), f);
+// The gradients of mean, quat and scale from those of the projection.
+std::tuple<std::vector<double>, std::vector<double>, std::vector<double>> project_double_vjp(
+    const Doubles& mean, const Doubles& quat, const Doubles& scale, const Doubles& camera, const Doubles& v) {
+  const SurfelFrame<double> f = frame_double(mean, quat, scale, camera);
+  std::vector<double> v_mean(3), v_quat(4), v_scale(2);
+  project_surfel_vjp(double_camera(camera), quat.data(), scale.data(), f, struct_of<ProjectedSurfel<double>>(v),
+                     v_mean.data(), v_quat.data(), v_scale.data());
+  return {v_mean, v_quat, v_scale};
+}
+
+// The disk's image in float64 at r2: x, y, cxx, cxy, cyy relative to the projected centre; empty where the disk reaches
+// the near plane.
+std::vector<double> outline_double(const Doubles& mean, const Doubles& quat, const Doubles& scale, const Doubles& camera,
+                                   double r2, double near) {
   SurfelOutline<double> o;
+  const SurfelFrame<double> f = frame_double(mean, quat, scale, camera);
   const bool whole = surfel_outline(double_camera(camera), f, scale.data(), r2, near, o);
-  std::memcpy(out.data(), &o, sizeof(o));
-  return whole;
+  return whole ? numbers_of(o) : std::vector<double>();
 }
 
 }  // namespace
@@ -88,54 +116,16 @@ bool outline_double(Doubles mean, Doubles quat, Doubles scale, Doubles camera, d
 NB_MODULE(_surfels, m) {
   using namespace mgsr;
   nb::class_<Frame<SurfelState>>(m, "Frame");
-
-  m.def("forward",
-        [](In means, In quats, In scales, In opacities, In colors, In background, Matrix K, Matrix cam_from_world, int width,
-           int height, float near, float far, float low_pass, Out color, Out alpha, Out depth, Out median_depth, Out normal,
-           std::optional<Out> distortion, Out radii) {
-          const SurfelInputs in =
-              make_inputs(means, quats, scales, opacities, colors, background, K, cam_from_world, width, height, near, far, low_pass);
-          const SurfelImages out =
-              make_images<Out>(int64_t(width) * height, color, alpha, depth, median_depth, normal, distortion);
-          float* r = data(radii, in.count, "radii");
-          auto frame = std::make_unique<Frame<SurfelState>>();
-          nb::gil_scoped_release release;
-          kernels()->forward(in, **frame, out, r);
-          return frame.release();
-        },
-        nb::rv_policy::take_ownership, nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"),
-        nb::arg("colors"), nb::arg("background"), nb::arg("K"), nb::arg("cam_from_world"), nb::arg("width"), nb::arg("height"),
-        nb::arg("near"), nb::arg("far"), nb::arg("low_pass"), nb::arg("color"), nb::arg("alpha"), nb::arg("depth"), nb::arg("median_depth"),
-        nb::arg("normal"), nb::arg("distortion").none(), nb::arg("radii"));
-
-  m.def("backward",
-        [](Frame<SurfelState>& frame, In means, In quats, In scales, In opacities, In colors, In background, Matrix K,
-           Matrix cam_from_world, int width, int height, float near, float far, float low_pass, In color, In alpha, In depth, In median_depth,
-           In normal, std::optional<In> distortion, std::optional<In> v_color, std::optional<In> v_alpha,
-           std::optional<In> v_depth, std::optional<In> v_median_depth, std::optional<In> v_normal,
-           std::optional<In> v_distortion, Out v_means, Out v_quats, Out v_scales, Out v_opacities, Out v_colors,
-           Out v_means2d) {
-          const SurfelInputs in =
-              make_inputs(means, quats, scales, opacities, colors, background, K, cam_from_world, width, height, near, far, low_pass);
-          const int64_t n = in.count, pixels = int64_t(width) * height;
-          const SurfelImages out = make_images<In>(pixels, color, alpha, depth, median_depth, normal, distortion);
-          const SurfelImages v_out = make_images<In>(pixels, v_color, v_alpha, v_depth, v_median_depth, v_normal, v_distortion);
-          const SurfelGradients v = {data(v_means, 3 * n, "v_means"),         data(v_quats, 4 * n, "v_quats"),
-                                     data(v_scales, 2 * n, "v_scales"),       data(v_opacities, n, "v_opacities"),
-                                     data(v_colors, 3 * n, "v_colors"),       data(v_means2d, 2 * n, "v_means2d")};
-          nb::gil_scoped_release release;
-          kernels()->backward(in, *frame, out, v_out, v);
-        },
-        nb::arg("frame"), nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"), nb::arg("colors"),
-        nb::arg("background"), nb::arg("K"), nb::arg("cam_from_world"), nb::arg("width"), nb::arg("height"), nb::arg("near"),
-        nb::arg("far"), nb::arg("low_pass"), nb::arg("color"), nb::arg("alpha"), nb::arg("depth"), nb::arg("median_depth"), nb::arg("normal"),
-        nb::arg("distortion").none(), nb::arg("v_color").none(), nb::arg("v_alpha").none(), nb::arg("v_depth").none(),
-        nb::arg("v_median_depth").none(), nb::arg("v_normal").none(), nb::arg("v_distortion").none(), nb::arg("v_means"),
-        nb::arg("v_quats"), nb::arg("v_scales"), nb::arg("v_opacities"), nb::arg("v_colors"), nb::arg("v_means2d"));
-
-  m.def("pairs", [](const Frame<SurfelState>& frame) { return frame->lists.pairs(); }, "Number of (splat, tile) pairs of a frame.");
+  m.def("forward", &forward, nb::rv_policy::take_ownership, nb::arg("splats"), nb::arg("view"), nb::arg("images"),
+        nb::arg("radii"));
+  m.def("backward", &backward, nb::arg("frame"), nb::arg("splats"), nb::arg("view"), nb::arg("images"),
+        nb::arg("v_images"), nb::arg("v_splats"));
+  m.def("pairs", [](const Frame<SurfelState>& frame) { return frame->lists.pairs(); }, nb::arg("frame"),
+        "Number of (splat, tile) pairs of a frame.");
   bind_choices(m, kernels());
-  m.def("project_double", &project_double);
-  m.def("project_double_vjp", &project_double_vjp);
-  m.def("outline_double", &outline_double);
+  m.def("project_double", &project_double, nb::arg("mean"), nb::arg("quat"), nb::arg("scale"), nb::arg("camera"));
+  m.def("project_double_vjp", &project_double_vjp, nb::arg("mean"), nb::arg("quat"), nb::arg("scale"),
+        nb::arg("camera"), nb::arg("v"));
+  m.def("outline_double", &outline_double, nb::arg("mean"), nb::arg("quat"), nb::arg("scale"), nb::arg("camera"),
+        nb::arg("r2"), nb::arg("near"));
 }

@@ -9,6 +9,7 @@ import torch
 
 from mgsr.native.cuda.launcher import Launcher
 from mgsr.native.cuda.params import Float, Int, Long, Pointer, addresses, pointer, pointers
+from mgsr.native.structs import AdamParameter
 
 MAX_GROUPS, MAX_JUDGED, THREADS, BLOCK_FLOATS = 16, 32, 256, 1024
 
@@ -66,15 +67,9 @@ def judge(launcher: Launcher, tensors: Sequence[torch.Tensor]) -> torch.Tensor:
     return bad
 
 
-def make_group(
-    values: torch.Tensor,
-    first: torch.Tensor,
-    second: torch.Tensor,
-    column_scales: torch.Tensor | None,
-    betas: tuple[float, float],
-    epsilon: float,
-) -> Group:
-    """Describe one parameter [rows, columns] with its moments, which must outlive the group, for the kernel."""
+def make_group(parameter: AdamParameter, betas: tuple[float, float], epsilon: float) -> Group:
+    """Describe a parameter, which must outlive the group, for the kernel."""
+    values, first, second, column_scales = parameter
     group = Group(*values.shape, pointer(values), None, *addresses(first, second, column_scales))
     group.beta1, group.beta2, group.epsilon = *betas, epsilon
     return group

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
 from mgsr.native.cuda.params import Float, Int, Long, Pointer, addresses, pointer, pointers
+from mgsr.native.cuda.view import intrinsics
+from mgsr.native.structs import EnvironmentMapLookup
 
 THREADS, WARP, CELL_FIELDS = 128, 32, 12
-
-Intrinsics = tuple[float, float, float, float]
 
 
 class PixelParams(ctypes.Structure):
@@ -49,54 +49,28 @@ class EnvironmentMapKernels:
     def __init__(self, launcher: Launcher) -> None:
         self._launcher = launcher
 
-    def forward(
-        self,
-        maps: Tensor,
-        normals: Tensor,
-        pixels: Tensor | None,
-        cam_from_world: list[float],
-        intrinsics: Intrinsics,
-        light: Tensor,
-    ) -> None:
+    def forward(self, lookup: EnvironmentMapLookup, light: Tensor) -> None:
         """Write light [H,W,3] at the pixels."""
-        arrays = (light, None, None, None, None)
-        self._look("environment_map_forward", maps, normals, pixels, cam_from_world, intrinsics, arrays)
+        self._look("environment_map_forward", lookup, (light, None, None, None, None))
 
     def backward(
-        self,
-        maps: Tensor,
-        normals: Tensor,
-        pixels: Tensor | None,
-        cam_from_world: list[float],
-        intrinsics: Intrinsics,
-        v_light: Tensor,
-        v_maps: Tensor | None,
-        v_normals: Tensor | None,
+        self, lookup: EnvironmentMapLookup, v_light: Tensor, v_maps: Tensor | None, v_normals: Tensor | None
     ) -> None:
         """Write v_maps [2,S,S,3] and v_normals [H,W,3] at the pixels, each where asked for."""
-        count = _count(normals, pixels)
+        count, normals = _count(lookup), lookup.normals
         cells = places = None
         if v_maps is not None:
             cells, places = normals.new_empty(2 * count, dtype=torch.int32), normals.new_empty(2 * count, 2)
-        arrays = (None, v_light, v_normals, cells, places)
-        self._look("environment_map_backward", maps, normals, pixels, cam_from_world, intrinsics, arrays)
+        self._look("environment_map_backward", lookup, (None, v_light, v_normals, cells, places))
         if v_maps is not None and cells is not None and places is not None:
-            self._add_up(count, pixels, v_light, cells, places, v_maps)
+            self._add_up(count, lookup.pixels, v_light, cells, places, v_maps)
 
-    def _look(
-        self,
-        kernel: str,
-        maps: Tensor,
-        normals: Tensor,
-        pixels: Tensor | None,
-        cam_from_world: list[float],
-        intrinsics: Intrinsics,
-        arrays: tuple[Tensor | None, ...],
-    ) -> None:
-        count = _count(normals, pixels)
+    def _look(self, kernel: str, lookup: EnvironmentMapLookup, arrays: tuple[Tensor | None, ...]) -> None:
+        maps, normals, pixels, camera = lookup
+        count = _count(lookup)
         inputs = (count, pointer(pixels), normals.shape[1], maps.shape[1], pointer(maps), pointer(normals))
-        camera = ((Float * 9)(*cam_from_world), *intrinsics)
-        params = PixelParams(*inputs, *camera, *addresses(*arrays))
+        lens = ((Float * 9)(*camera.cam_from_world[:3, :3].ravel().tolist()), *intrinsics(camera))
+        params = PixelParams(*inputs, *lens, *addresses(*arrays))
         self._launcher.launch("environment_map", kernel, -(-count // THREADS), THREADS, params)
 
     def _add_up(
@@ -116,5 +90,6 @@ class EnvironmentMapKernels:
         )
 
 
-def _count(normals: Tensor, pixels: Tensor | None) -> int:
-    return normals.shape[0] * normals.shape[1] if pixels is None else pixels.shape[0]
+def _count(lookup: EnvironmentMapLookup) -> int:
+    height, width, _ = lookup.normals.shape
+    return height * width if lookup.pixels is None else lookup.pixels.shape[0]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 from torch import Tensor
 
@@ -29,6 +28,13 @@ from mgsr.native.cuda.tiles import (
     sum_pairs,
 )
 from mgsr.native.cuda.view import Camera, camera_struct
+from mgsr.native.structs import (
+    GaussianGradients,
+    GaussianImageGradients,
+    GaussianImages,
+    GaussianSplats,
+    GaussianView,
+)
 
 # Floats kept of each pixel at the begin of a bucket, and made ready of each pixel for the backward pass.
 STATE_PLANES = {"single": 5, "dual": 10}
@@ -106,54 +112,52 @@ class Frame:
 class GaussianKernels:
     """The kernels that render and differentiate 3D Gaussians on one launcher.
 
-    Arguments as in `mgsr.native._gaussians`; keep: whether backward will be called for the frame.
+    keep: whether backward will be called for the frame.
     """
 
     def __init__(self, launcher: Launcher, keep: bool) -> None:
         self._launcher, self._keep = launcher, keep
 
-    def forward(self, *arguments: Any) -> Frame:
-        """Render into the images and radii given, and return what `backward` takes.
+    def forward(self, splats: GaussianSplats, view: GaussianView, images: GaussianImages, radii: Tensor) -> Frame:
+        """Render into the images and radii [N], and return what `backward` takes.
 
         Raises GpuError where the card's memory is too small.
         """
-        splats, background, view, images, radii = (
-            arguments[:8],
-            arguments[8],
-            arguments[9:16],
-            arguments[16:21],
-            arguments[21],
-        )
         projected = project(self._launcher, "gaussians", ProjectParams, splats_struct(splats, view), radii)
-        transmittance = background.new_empty(projected.height, projected.width)
+        transmittance = radii.new_empty(projected.height, projected.width)
         frame = Frame(projected, radii, transmittance, [projected.whole])
-        blend = partial(self._blend, _kind(splats), frame, background, images)
+        blend = partial(self._blend, frame, splats.background, images)
         frame.bands, frame.blended = blend_bands(self._launcher, projected, blend, self._keep)
         return frame
 
-    def backward(self, frame: Frame, *arguments: Any) -> None:
-        """Write the splats' gradients from those of the images.
+    def backward(
+        self,
+        frame: Frame,
+        splats: GaussianSplats,
+        view: GaussianView,
+        images: GaussianImages,
+        v_images: GaussianImageGradients,
+        v_splats: GaussianGradients,
+    ) -> None:
+        """Write the splats' gradients from those of the images; the view is the frame's.
 
         Raises GpuError where the card's memory is too small.
         """
         assert self._keep, "rendered without a backward pass in mind"
-        splats, background = arguments[:8], arguments[8]
-        images, v_images, v_splats = arguments[16:21], arguments[21:26], arguments[26:]
-        kind = _kind(splats)
 
         def walk_back(band: Band) -> Tensor:
-            blended = frame.take_blended() or self._blend(kind, frame, background, images, band, keep=True)
-            return self._walk_back(kind, frame, blended, images, v_images)
+            blended = frame.take_blended() or self._blend(frame, splats.background, images, band, keep=True)
+            return self._walk_back(frame, blended, images, v_images)
 
         sums = add_bands(self._launcher, frame.projected, frame.bands, walk_back)
         arrays = (frame.projected.records, frame.radii, sums, frame.projected.whole.tile_counts, *v_splats)
         gradients = GradientParams(frame.projected.splats, *addresses(*arrays))
-        blocks = splat_blocks(splats[0].shape[0])
+        blocks = splat_blocks(splats.means.shape[0])
         self._launcher.launch("gaussians", "gaussians_gradients", blocks, SPLAT_THREADS, gradients)
 
-    def _blend(self, kind: str, frame: Frame, background: Tensor, images: Any, band: Band, keep: bool) -> Blended:
+    def _blend(self, frame: Frame, background: Tensor, images: GaussianImages, band: Band, keep: bool) -> Blended:
         """Draw a band's pixels into the images."""
-        lists = list_tiles(self._launcher, frame.projected, band)
+        lists, kind = list_tiles(self._launcher, frame.projected, band), _kind(images)
         reached, states = lists.ranges.new_empty(lists.tiles), None
         if keep:
             states = background.new_empty(lists.most_buckets, STATE_PLANES[kind], TILE_PIXELS)
@@ -162,9 +166,11 @@ class GaussianKernels:
         self._launcher.launch("gaussians", f"gaussians_blend_{kind}", lists.tiles, TILE_PIXELS, params)
         return Blended(lists, states, reached)
 
-    def _walk_back(self, kind: str, frame: Frame, blended: Blended, images: Any, v_images: Any) -> Tensor:
+    def _walk_back(
+        self, frame: Frame, blended: Blended, images: GaussianImages, v_images: GaussianImageGradients
+    ) -> Tensor:
         """Return the gradients [N,16] of each splat from a band's pixels."""
-        lists = blended.lists
+        lists, kind = blended.lists, _kind(images)
         planes = self._prepare_pixels(kind, frame, lists, images, v_images)
         pairs = planes.new_empty(lists.pairs, PAIR_FIELDS)
         arrays = (frame.projected.records, blended.states, blended.reached, planes, pairs)
@@ -172,26 +178,26 @@ class GaussianKernels:
         self._launcher.launch("gaussians", f"gaussians_backward_{kind}", lists.bucket_blocks, BUCKET_THREADS, params)
         return sum_pairs(self._launcher, lists, pairs)
 
-    def _prepare_pixels(self, kind: str, frame: Frame, lists: TileLists, images: Any, v_images: Any) -> Tensor:
-        color, _, depth, reflected, weight = images
-        planes: Tensor = color.new_empty(lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
-        arrays = (frame.transmittance, color, depth, reflected, weight, *v_images, planes)
-        params = PixelParams(lists.struct, *addresses(*arrays))
+    def _prepare_pixels(
+        self, kind: str, frame: Frame, lists: TileLists, images: GaussianImages, v_images: GaussianImageGradients
+    ) -> Tensor:
+        planes = images.color.new_empty(lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
+        forward = (frame.transmittance, images.color, images.depth, images.reflected, images.weight)
+        params = PixelParams(lists.struct, *addresses(*forward, *v_images, planes))
         self._launcher.launch("gaussians", f"gaussians_pixels_{kind}", lists.tiles, TILE_PIXELS, params)
         return planes
 
 
-def _kind(splats: Any) -> str:
-    return "single" if splats[5] is None else "dual"
+def _kind(images: GaussianImages) -> str:
+    return "single" if images.reflected is None else "dual"
 
 
-def splats_struct(splats: Any, view: Any) -> Splats:
-    """Return the struct of the splats and the view, for the kernels' parameters.
-
-    splats: tensors as SPLAT_TENSORS, None for those that are not there, which must outlive the launch; view: as
-    `mgsr.native._gaussians` takes it.
-    """
-    K, cam_from_world, width, height, near, low_pass, compensate = view
-    camera = camera_struct(K, cam_from_world, width, height)
-    arrays = addresses(*splats)
-    return Splats(splats[0].shape[0], *arrays, camera, width, height, near, low_pass, compensate)
+def splats_struct(splats: GaussianSplats, view: GaussianView) -> Splats:
+    """Return the struct of the splats, which must outlive the launch, and the view, for the kernels' parameters."""
+    camera = view.camera
+    arrays = addresses(
+        *(splats.means, splats.quats, splats.scales, splats.opacities, splats.colors),
+        *(splats.refl_opacities, splats.refl_colors, splats.weights),
+    )
+    lens = (camera_struct(camera), camera.width, camera.height)
+    return Splats(splats.means.shape[0], *arrays, *lens, view.near, view.low_pass, view.compensate)

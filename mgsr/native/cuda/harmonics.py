@@ -8,6 +8,7 @@ from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
 from mgsr.native.cuda.params import Float, Int, Long, addresses, pointer, pointers
+from mgsr.native.structs import Harmonics
 
 THREADS = 64
 
@@ -31,34 +32,17 @@ class HarmonicsKernels:
     def __init__(self, launcher: Launcher) -> None:
         self._launcher = launcher
 
-    def forward(self, coeffs: Tensor, means: Tensor, center: Tensor, degree: int, rgb: Tensor) -> None:
+    def forward(self, splats: Harmonics, rgb: Tensor) -> None:
         """Write rgb [N,3]."""
-        self._run("forward", degree, coeffs, means, center, (rgb, None, None, None))
+        self._run("forward", splats, (rgb, None, None, None))
 
-    def backward(
-        self,
-        coeffs: Tensor,
-        means: Tensor,
-        center: Tensor,
-        degree: int,
-        rgb: Tensor,
-        v_rgb: Tensor,
-        v_coeffs: Tensor,
-        v_means: Tensor | None,
-    ) -> None:
+    def backward(self, splats: Harmonics, rgb: Tensor, v_rgb: Tensor, v_coeffs: Tensor, v_means: Tensor | None) -> None:
         """Write v_coeffs [N,K,3] and, where it is given, add to v_means [N,3]."""
-        self._run("backward", degree, coeffs, means, center, (rgb, v_rgb, v_coeffs, v_means))
+        self._run("backward", splats, (rgb, v_rgb, v_coeffs, v_means))
 
-    def _run(
-        self,
-        direction: str,
-        degree: int,
-        coeffs: Tensor,
-        means: Tensor,
-        center: Tensor,
-        arrays: tuple[Tensor | None, ...],
-    ) -> None:
-        n, k = coeffs.shape[:2]
-        inputs = (pointer(coeffs), pointer(means), (Float * 3)(*center.tolist()))
-        params = Params(n, k, degree, *inputs, *addresses(*arrays))
-        self._launcher.launch("harmonics", f"harmonics_{direction}_{degree}", -(-n // THREADS), THREADS, params)
+    def _run(self, direction: str, splats: Harmonics, arrays: tuple[Tensor | None, ...]) -> None:
+        n, k = splats.coeffs.shape[:2]
+        inputs = (pointer(splats.coeffs), pointer(splats.means), (Float * 3)(*splats.center.tolist()))
+        params = Params(n, k, splats.degree, *inputs, *addresses(*arrays))
+        kernel = f"harmonics_{direction}_{splats.degree}"
+        self._launcher.launch("harmonics", kernel, -(-n // THREADS), THREADS, params)

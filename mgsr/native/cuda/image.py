@@ -10,6 +10,8 @@ from torch import Tensor
 from mgsr.native.cuda.launcher import Launcher
 from mgsr.native.cuda.params import Float, Int, addresses, pointer, pointers
 from mgsr.native.cuda.terms import Sums
+from mgsr.native.cuda.view import intrinsics
+from mgsr.native.structs import DepthSurface, ImagePair
 
 PIXEL_THREADS = 256
 LOSS_WIDTH, LOSS_HEIGHT, LOSS_THREADS = 32, 16, 512
@@ -68,18 +70,10 @@ class ImageKernels:
         self._launcher = launcher
 
     def image_loss(
-        self,
-        image: Tensor,
-        target: Tensor,
-        l1_weight: float,
-        clip: bool,
-        mask: Tensor | None,
-        region: RegionTuple,
-        v_image: Tensor | None,
-        v_target: Tensor | None,
-        mask_sum: float | None,
+        self, pair: ImagePair, v_image: Tensor | None, v_target: Tensor | None, mask_sum: float | None
     ) -> Sums:
         """Return the mean loss, and the gradients of its sum inside the region."""
+        image, target, mask, l1_weight, clip, region = pair
         height, width = image.shape[:2]
         maps = _grown(region, height, width)
         count = 0 if v_image is None else 3 if v_target is None else 4
@@ -111,64 +105,38 @@ class ImageKernels:
         return Sums(sums, float(channels), counted=True)
 
     def normal_agreement(
-        self,
-        depth: Tensor,
-        alpha: Tensor,
-        covered: Tensor,
-        intrinsics: tuple[float, float, float, float],
-        world_from_cam: list[float],
-        normals: Tensor,
-        from_depth: Tensor,
-        v_depth: Tensor | None,
+        self, surface: DepthSurface, covered: Tensor, normals: Tensor, from_depth: Tensor, v_depth: Tensor | None
     ) -> Sums:
-        """Return the mean of 1 - n . n_depth.
+        """Return the mean of 1 - n . n_depth over the covered pixels, covered [H,W].
 
         Writes from_depth [H,W,3], and v_depth [H,W]: the gradients, each times -1, of its sum.
         """
-        shape, blocks = depth.shape, -(-depth.numel() // PIXEL_THREADS)
+        depth = surface.depth
+        blocks = -(-depth.numel() // PIXEL_THREADS)
         sums = depth.new_empty(blocks, 2, dtype=torch.float64)
-        inputs = (*shape, *addresses(depth, alpha, covered), *intrinsics, (Float * 9)(*world_from_cam))
-        of_depth = NormalsParams(*inputs, pointer(from_depth), pointer(normals), pointer(v_depth))
+        of_depth = _normals_params(surface, covered, (from_depth, normals, v_depth))
         params = AgreementParams(of_depth, pointer(normals), pointer(sums))
         self._launcher.launch("image", "image_normal_agreement", blocks, PIXEL_THREADS, params)
         return Sums(sums, 1.0, counted=True)
 
-    def depth_normals(
-        self,
-        depth: Tensor,
-        alpha: Tensor | None,
-        intrinsics: tuple[float, float, float, float],
-        world_from_cam: list[float],
-        normals: Tensor,
-    ) -> None:
+    def depth_normals(self, surface: DepthSurface, normals: Tensor) -> None:
         """Write the normals [H,W,3]."""
-        self._normals("image_depth_normals", depth, alpha, intrinsics, world_from_cam, (normals, None, None))
+        self._normals("image_depth_normals", surface, (normals, None, None))
 
-    def depth_normals_vjp(
-        self,
-        depth: Tensor,
-        alpha: Tensor | None,
-        intrinsics: tuple[float, float, float, float],
-        world_from_cam: list[float],
-        v_normals: Tensor,
-        v_depth: Tensor,
-    ) -> None:
+    def depth_normals_vjp(self, surface: DepthSurface, v_normals: Tensor, v_depth: Tensor) -> None:
         """Write the depth's gradient [H,W]."""
-        arrays = (None, v_normals, v_depth)
-        self._normals("image_depth_normals_vjp", depth, alpha, intrinsics, world_from_cam, arrays)
+        self._normals("image_depth_normals_vjp", surface, (None, v_normals, v_depth))
 
-    def _normals(
-        self,
-        kernel: str,
-        depth: Tensor,
-        alpha: Tensor | None,
-        intrinsics: tuple[float, float, float, float],
-        world_from_cam: list[float],
-        arrays: tuple[Tensor | None, ...],
-    ) -> None:
-        inputs = (*depth.shape, pointer(depth), pointer(alpha), None, *intrinsics, (Float * 9)(*world_from_cam))
-        params = NormalsParams(*inputs, *addresses(*arrays))
-        self._launcher.launch("image", kernel, -(-depth.numel() // PIXEL_THREADS), PIXEL_THREADS, params)
+    def _normals(self, kernel: str, surface: DepthSurface, arrays: tuple[Tensor | None, ...]) -> None:
+        params = _normals_params(surface, None, arrays)
+        self._launcher.launch("image", kernel, -(-surface.depth.numel() // PIXEL_THREADS), PIXEL_THREADS, params)
+
+
+def _normals_params(surface: DepthSurface, covered: Tensor | None, arrays: tuple[Tensor | None, ...]) -> NormalsParams:
+    depth, alpha, camera = surface
+    world_from_cam = (Float * 9)(*camera.cam_from_world[:3, :3].T.ravel().tolist())
+    inputs = (*depth.shape, *addresses(depth, alpha, covered), *intrinsics(camera), world_from_cam)
+    return NormalsParams(*inputs, *addresses(*arrays))
 
 
 def _grown(region: RegionTuple, height: int, width: int) -> RegionTuple:

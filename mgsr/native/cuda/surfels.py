@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 from torch import Tensor
 
@@ -29,6 +28,7 @@ from mgsr.native.cuda.tiles import (
     sum_pairs,
 )
 from mgsr.native.cuda.view import Camera, camera_struct
+from mgsr.native.structs import SurfelGradients, SurfelImageGradients, SurfelImages, SurfelSplats, SurfelView
 
 # Floats kept of each pixel at the begin of a bucket, and made ready of each pixel for the backward pass.
 STATE_PLANES = {"plain": 8, "distortion": 10}
@@ -114,83 +114,97 @@ class Frame:
 class SurfelKernels:
     """The kernels that render and differentiate surfels on one launcher.
 
-    Arguments as in `mgsr.native._surfels`; keep: whether backward will be called for the frame.
+    keep: whether backward will be called for the frame.
     """
 
     def __init__(self, launcher: Launcher, keep: bool) -> None:
         self._launcher, self._keep = launcher, keep
 
-    def forward(self, *arguments: Any) -> Frame:
-        """Render into the images and radii given, and return what `backward` takes.
+    def forward(self, splats: SurfelSplats, view: SurfelView, images: SurfelImages, radii: Tensor) -> Frame:
+        """Render into the images and radii [N], and return what `backward` takes.
 
         Raises GpuError where the card's memory is too small.
         """
-        splats, background, view = arguments[:5], arguments[5], arguments[6:13]
-        images, radii = arguments[13:19], arguments[19]
         projected = project(self._launcher, "surfels", ProjectParams, _splats_struct(splats, view), radii)
         size = (projected.height, projected.width)
-        moments = None if images[5] is None else radii.new_empty(*size, 2)
+        moments = None if images.distortion is None else radii.new_empty(*size, 2)
         frame = Frame(projected, radii.new_empty(size), moments, [projected.whole])
-        blend = partial(self._blend, frame, background, view, images)
+        blend = partial(self._blend, frame, splats.background, view, images)
         frame.bands, frame.blended = blend_bands(self._launcher, projected, blend, self._keep)
         return frame
 
-    def backward(self, frame: Frame, *arguments: Any) -> None:
+    def backward(
+        self,
+        frame: Frame,
+        splats: SurfelSplats,
+        view: SurfelView,
+        images: SurfelImages,
+        v_images: SurfelImageGradients,
+        v_splats: SurfelGradients,
+    ) -> None:
         """Write the splats' gradients from those of the images.
 
         Raises GpuError where the card's memory is too small.
         """
         assert self._keep, "rendered without a backward pass in mind"
-        splats, background, view = arguments[:5], arguments[5], arguments[6:13]
-        images, v_images, v_splats = arguments[13:19], arguments[19:25], arguments[25:]
 
         def walk_back(band: Band) -> Tensor:
-            blended = frame.take_blended() or self._blend(frame, background, view, images, band, keep=True)
+            blended = frame.take_blended() or self._blend(frame, splats.background, view, images, band, keep=True)
             return self._walk_back(frame, blended, view, images, v_images)
 
         sums = add_bands(self._launcher, frame.projected, frame.bands, walk_back)
         arrays = addresses(frame.projected.records, sums, frame.projected.whole.tile_counts, *v_splats)
         gradients = GradientParams(frame.projected.splats, *arrays)
-        self._launcher.launch(
-            "surfels", "surfels_gradients", splat_blocks(splats[0].shape[0]), SPLAT_THREADS, gradients
-        )
+        blocks = splat_blocks(splats.means.shape[0])
+        self._launcher.launch("surfels", "surfels_gradients", blocks, SPLAT_THREADS, gradients)
 
-    def _blend(self, frame: Frame, background: Tensor, view: Any, images: Any, band: Band, keep: bool) -> Blended:
+    def _blend(
+        self, frame: Frame, background: Tensor, view: SurfelView, images: SurfelImages, band: Band, keep: bool
+    ) -> Blended:
         """Draw a band's pixels into the images."""
         lists = list_tiles(self._launcher, frame.projected, band)
-        kind = "plain" if images[5] is None else "distortion"
+        kind = "plain" if images.distortion is None else "distortion"
         reached, states = lists.ranges.new_empty(lists.tiles), None
         if keep:
             states = background.new_empty(lists.most_buckets, STATE_PLANES[kind], TILE_PIXELS)
         arrays = addresses(*images, frame.transmittance, frame.moments, states, reached)
         inputs = addresses(frame.projected.records, frame.projected.outlines, background)
-        params = BlendParams(lists.struct, *inputs, *view[4:], *arrays)
+        params = BlendParams(lists.struct, *inputs, *_depths(view), *arrays)
         self._launcher.launch("surfels", f"surfels_blend_{kind}", lists.tiles, TILE_PIXELS, params)
         return Blended(lists, states, reached)
 
-    def _walk_back(self, frame: Frame, blended: Blended, view: Any, images: Any, v_images: Any) -> Tensor:
+    def _walk_back(
+        self, frame: Frame, blended: Blended, view: SurfelView, images: SurfelImages, v_images: SurfelImageGradients
+    ) -> Tensor:
         """Return the gradients [N,16] of each splat from a band's pixels."""
         assert blended.states is not None
-        kind, lists = "plain" if v_images[5] is None else "distortion", blended.lists
+        kind, lists = "plain" if v_images.distortion is None else "distortion", blended.lists
         planes = self._prepare_pixels(kind, frame, lists, images, v_images)
         pairs = planes.new_empty(lists.pairs, PAIR_FIELDS)
         states, state_planes = pointer(blended.states), blended.states.shape[1]
         arrays = addresses(blended.reached, planes, pairs)
         splats = (pointer(frame.projected.records), pointer(frame.projected.outlines))
-        params = BackwardParams(lists.struct, *splats, *view[4:], states, state_planes, *arrays)
+        params = BackwardParams(lists.struct, *splats, *_depths(view), states, state_planes, *arrays)
         self._launcher.launch("surfels", f"surfels_backward_{kind}", lists.bucket_blocks, BUCKET_THREADS, params)
         return sum_pairs(self._launcher, lists, pairs)
 
-    def _prepare_pixels(self, kind: str, frame: Frame, lists: TileLists, images: Any, v_images: Any) -> Tensor:
-        color, _, depth, _, normal, _ = images
-        planes: Tensor = color.new_empty(lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
-        arrays = (frame.transmittance, frame.moments, color, depth, normal, *v_images, planes)
-        params = PixelParams(lists.struct, *addresses(*arrays))
+    def _prepare_pixels(
+        self, kind: str, frame: Frame, lists: TileLists, images: SurfelImages, v_images: SurfelImageGradients
+    ) -> Tensor:
+        planes = images.color.new_empty(lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
+        forward = (frame.transmittance, frame.moments, images.color, images.depth, images.normal)
+        params = PixelParams(lists.struct, *addresses(*forward, *v_images, planes))
         self._launcher.launch("surfels", f"surfels_pixels_{kind}", lists.tiles, TILE_PIXELS, params)
         return planes
 
 
-def _splats_struct(splats: Any, view: Any) -> Splats:
-    K, cam_from_world, width, height, *depths = view
-    camera = camera_struct(K, cam_from_world, width, height)
-    return Splats(splats[0].shape[0], *addresses(*splats), camera, width, height, *depths)
+def _depths(view: SurfelView) -> tuple[float, float, float]:
+    """Return the values of DEPTHS."""
+    return view.near, view.far, view.low_pass
+
+
+def _splats_struct(splats: SurfelSplats, view: SurfelView) -> Splats:
+    camera = view.camera
+    arrays = addresses(splats.means, splats.quats, splats.scales, splats.opacities, splats.colors)
+    size = (camera.width, camera.height)
+    return Splats(splats.means.shape[0], *arrays, camera_struct(camera), *size, *_depths(view))

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import ctypes
 
-import numpy as np
-
+from mgsr.native import structs
 from mgsr.native.cuda.params import Float
 
 
@@ -19,11 +18,14 @@ class Camera(ctypes.Structure):
     )
 
 
-def camera_struct(K: np.ndarray, cam_from_world: np.ndarray, width: int, height: int) -> Camera:
-    """Return the struct of a camera with K [3,3] pixels and cam_from_world [4,4], both float64.
+def camera_struct(camera: structs.Camera) -> Camera:
+    """Return a camera as the kernels' parameters take it."""
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = camera.cam_from_world.tolist()
+    (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+    return Camera((a, b, c, d, e, f, g, h, i), (x, y, z), fx, fy, cx, cy, camera.width, camera.height)
 
-    width, height: of its image.
-    """
-    (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = cam_from_world.tolist()
-    (fx, _, cx), (_, fy, cy), _ = K.tolist()
-    return Camera((a, b, c, d, e, f, g, h, i), (x, y, z), fx, fy, cx, cy, width, height)
+
+def intrinsics(camera: structs.Camera) -> tuple[float, float, float, float]:
+    """Return fx, fy, cx and cy in pixels."""
+    (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+    return fx, fy, cx, cy

@@ -1,0 +1,286 @@
+"""The structs that kernels take, the same on the CPU and on a card.
+
+Arrays and numbers that belong together reach a kernel as one named tuple of this file, and no function of the bindings
+takes more than six arguments. Callers fill the fields by name. A type checker finds a field that is missing or of
+another type, and a struct in place of another. The C++ bindings read the fields by name
+(`mgsr/native/bindings/fields.h`). The kernels of `mgsr.native.cuda` take the same tuples. The stubs beside this file
+declare the functions.
+
+Arrays are contiguous, and on the CPU or on the kernels' card. The bindings convert none of them, since the kernel would
+write its output to a copy. An array of another dtype or layout raises TypeError, and one of another size raises
+ValueError or, where the size is fixed, TypeError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from torch import Tensor
+
+
+class Camera(Protocol):
+    """A pinhole camera, of which kernels read these four attributes: `mgsr.data.camera.Camera`.
+
+    K [3,3]: pixels, without skew. cam_from_world [4,4]: rigid, OpenCV axes. Kernels read numbers of any type.
+    """
+
+    @property
+    def K(self) -> np.ndarray: ...  # noqa: N802
+    @property
+    def cam_from_world(self) -> np.ndarray: ...
+    @property
+    def width(self) -> int: ...
+    @property
+    def height(self) -> int: ...
+
+
+class SurfelSplats(NamedTuple):
+    """Surfels and the background behind them.
+
+    means [N,3] world; quats [N,4] wxyz; scales [N,2] world units; opacities [N]; colors [N,3]; background [3].
+    """
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacities: Tensor
+    colors: Tensor
+    background: Tensor
+
+
+class SurfelView(NamedTuple):
+    """The camera of a rendering of surfels, and the options of `mgsr.ops.surfels.SurfelOptions`."""
+
+    camera: Camera
+    near: float
+    far: float
+    low_pass: float
+
+
+class SurfelImages(NamedTuple):
+    """The images of `mgsr.ops.surfels.SurfelRaster`: color and normal [H,W,3], the others [H,W].
+
+    distortion: None where it is not asked for.
+    """
+
+    color: Tensor
+    alpha: Tensor
+    depth: Tensor
+    median_depth: Tensor
+    normal: Tensor
+    distortion: Tensor | None
+
+
+class SurfelImageGradients(NamedTuple):
+    """The gradients of `SurfelImages`, each of its image's shape; None is zero."""
+
+    color: Tensor | None
+    alpha: Tensor | None
+    depth: Tensor | None
+    median_depth: Tensor | None
+    normal: Tensor | None
+    distortion: Tensor | None
+
+
+class SurfelGradients(NamedTuple):
+    """The gradients of `SurfelSplats`, each of its tensor's shape, and means2d [N,2]: of shifts in the image, pixels.
+
+    The CPU's kernel writes only those of visible splats, so that the caller zeroes them; a card's kernel writes all.
+    """
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacities: Tensor
+    colors: Tensor
+    means2d: Tensor
+
+
+class GaussianSplats(NamedTuple):
+    """3D Gaussians and the background behind them.
+
+    means [N,3] world; quats [N,4] wxyz; scales [N,3] world units; opacities [N]; colors [N,3]; refl_opacities [N],
+    refl_colors [N,3] and weights [N]: the reflected part, all None for a single opacity; background [3].
+    """
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacities: Tensor
+    colors: Tensor
+    refl_opacities: Tensor | None
+    refl_colors: Tensor | None
+    weights: Tensor | None
+    background: Tensor
+
+
+class GaussianView(NamedTuple):
+    """The camera of a rendering of 3D Gaussians, and the options of `mgsr.ops.gaussians.GaussianOptions`."""
+
+    camera: Camera
+    near: float
+    low_pass: float
+    compensate: bool
+
+
+class GaussianImages(NamedTuple):
+    """The images of `mgsr.ops.gaussians.GaussianRaster`: color and reflected [H,W,3], the others [H,W].
+
+    depth: None where it is not asked for; reflected, weight: None for a single opacity.
+    """
+
+    color: Tensor
+    alpha: Tensor
+    depth: Tensor | None
+    reflected: Tensor | None
+    weight: Tensor | None
+
+
+class GaussianImageGradients(NamedTuple):
+    """The gradients of `GaussianImages`, each of its image's shape; None is zero."""
+
+    color: Tensor | None
+    alpha: Tensor | None
+    depth: Tensor | None
+    reflected: Tensor | None
+    weight: Tensor | None
+
+
+class GaussianGradients(NamedTuple):
+    """The gradients of `GaussianSplats`, each of its tensor's shape, and means2d [N,2]: of the centres in pixels.
+
+    The CPU's kernel writes only those of visible splats, so that the caller zeroes them; a card's kernel writes all.
+    """
+
+    means: Tensor
+    quats: Tensor
+    scales: Tensor
+    opacities: Tensor
+    colors: Tensor
+    refl_opacities: Tensor | None
+    refl_colors: Tensor | None
+    weights: Tensor | None
+    means2d: Tensor
+
+
+class Harmonics(NamedTuple):
+    """Splats coloured by spherical harmonics.
+
+    coeffs [N,K,3]; means [N,3] world; center [3]: the camera's, world; degree: the highest band used, 0..3.
+    """
+
+    coeffs: Tensor
+    means: Tensor
+    center: Tensor
+    degree: int
+
+
+class EnvironmentMapLookup(NamedTuple):
+    """A look-up of environment maps along the rays that normals reflect.
+
+    maps [2,S,S,3]; normals [H,W,3] world; pixels [P] int64: row * width + column of the pixels to compute, None for
+    all; camera: of the image.
+    """
+
+    maps: Tensor
+    normals: Tensor
+    pixels: Tensor | None
+    camera: Camera
+
+
+class ImagePair(NamedTuple):
+    """An image and the target of its loss, with the options of `mgsr.ops.image_loss.image_loss_term`.
+
+    image, target [H,W,3]; mask [H,W] or None; l1_weight 0..1; clip: whether image values above 1 count as 1; region:
+    (y0, y1, x0, x1), ends excluded, outside of which image and target are equal.
+    """
+
+    image: Tensor
+    target: Tensor
+    mask: Tensor | None
+    l1_weight: float
+    clip: bool
+    region: tuple[int, int, int, int]
+
+
+class DepthSurface(NamedTuple):
+    """The surface of a depth map.
+
+    depth [H,W]: camera z; alpha [H,W]: the length of its normals, None for 1; camera: of the image.
+    """
+
+    depth: Tensor
+    alpha: Tensor | None
+    camera: Camera
+
+
+class AdamParameter(NamedTuple):
+    """A parameter with its moments, values, first and second [rows,columns], which an update changes in place.
+
+    column_scales [columns]: multiplies the learning rate; None for 1.
+    """
+
+    values: Tensor
+    first: Tensor
+    second: Tensor
+    column_scales: Tensor | None
+
+
+class StereoViews(NamedTuple):
+    """A photograph to match with its neighbours.
+
+    images: of each view, [h,w,4] float32, sRGB and the share of the pixel that shows the object, 0..1. cameras [V,16]
+    float32: see `mgsr.data.camera.pinhole_row`. view: the photograph's number; neighbours: those of the others.
+    range: the least and the largest camera z.
+    """
+
+    images: Sequence[np.ndarray]
+    cameras: np.ndarray
+    view: int
+    neighbours: Sequence[int]
+    range: tuple[float, float]
+
+
+class StereoPlanes(NamedTuple):
+    """A plane at each pixel: depth [h,w] float32, camera z, and unit normal [h,w,3] float32, camera axes."""
+
+    depth: np.ndarray
+    normal: np.ndarray
+
+
+class StereoSettings(NamedTuple):
+    """Settings of the stereo matching.
+
+    radius: samples of a patch on each side of its centre, 0..4. spacing: pixels between samples. noise: standard
+    deviation of the image noise, sRGB 0..1. alike, reach: the colour difference, sRGB 0..1, and the distance, in
+    pixels, from the centre at which a sample weighs 0.6. best: the number of best neighbours whose mean correlation is
+    the score. cover: the least share of a patch that must show the object in a neighbour. prior: the loss in score of a
+    depth that is prior_reach pixels off the start. search: the variation of depths in the first round, in pixels.
+    rounds: of the search.
+    """
+
+    radius: int
+    spacing: float
+    noise: float
+    alike: float
+    reach: float
+    best: int
+    cover: float
+    prior: float
+    prior_reach: float
+    search: float
+    rounds: int
+
+
+class VotingMaps(NamedTuple):
+    """Depth maps that vote on places.
+
+    cameras [V,16] float64: see `mgsr.data.camera.pinhole_row`. depths: of each view, [h,w] float32, camera z; weights:
+    of its pixels, [h,w] float32.
+    """
+
+    cameras: np.ndarray
+    depths: Sequence[np.ndarray]
+    weights: Sequence[np.ndarray]

@@ -17,9 +17,6 @@ from mgsr.gaussians.surfels import SurfelModel
 from mgsr.start.points import StartingPoints
 from mgsr.training.run import Training
 
-BESIDE = 0.005  # share of the photograph's longer side around the masks that training ignores
-INSIDE = 0.9  # share of the views with a mask at a starting point above which the point is the object's
-
 
 def train_background(
     scene: Scene,
@@ -37,8 +34,9 @@ def train_background(
 
     Raises Cancelled once should_stop returns True, and TrainingError if training fails.
     """
-    views = [_without_object(view, mask) for view, mask in zip(scene.train, masks, strict=True)]
-    outside = ~_on_object(start.positions, scene.train, masks)
+    options = config.expert.training.background
+    views = [_without_object(view, mask, options.beside) for view, mask in zip(scene.train, masks, strict=True)]
+    outside = ~_on_object(start.positions, scene.train, masks, options.inside)
     start = StartingPoints(start.positions[outside], start.colors[outside], start.source)
     stages = [f"warmup.surfel_iterations={config.train.warmup.surfel_iterations}", "mutual.iterations=0"]
     settings = make_config(seed=config.seed, overrides=["branches=surfels", "flash=off", "stop_rule=none", *stages])
@@ -50,17 +48,20 @@ def train_background(
     return model
 
 
-def _without_object(view: View, mask: np.ndarray) -> View:
-    """Return the view with the pixels of a mask [H,W] uint8, and those beside it, marked as invalid."""
+def _without_object(view: View, mask: np.ndarray, beside: float) -> View:
+    """Return the view with the pixels of a mask [H,W] uint8, and those beside it, marked as invalid.
+
+    beside: width of the margin, as a share of the photograph's longer side.
+    """
     import cv2  # late: training needs no OpenCV
 
-    reach = max(1, round(BESIDE * max(mask.shape)))
+    reach = max(1, round(beside * max(mask.shape)))
     around = cv2.dilate(mask, np.ones((2 * reach + 1,) * 2, np.uint8)) > 0
     return replace(view, valid_mask=~around if view.valid_mask is None else view.valid_mask & ~around)
 
 
-def _on_object(points: np.ndarray, views: Sequence[View], masks: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the points [P] bool that lie inside the mask in nearly all of the views that show them."""
+def _on_object(points: np.ndarray, views: Sequence[View], masks: Sequence[np.ndarray], share: float) -> np.ndarray:
+    """Return which of the points [P,3] lie inside the masks in more than a share of the views that show them, [P]."""
     shown, inside = np.zeros(len(points)), np.zeros(len(points))
     for view, mask in zip(views, masks, strict=True):
         pixels, depth = view.camera.project(points)
@@ -69,4 +70,4 @@ def _on_object(points: np.ndarray, views: Sequence[View], masks: Sequence[np.nda
         value = ndimage.map_coordinates(mask, [y[seen] - 0.5, x[seen] - 0.5], order=0, mode="nearest")
         shown[seen] += 1
         inside[seen] += value > 127
-    return np.asarray((shown > 0) & (inside > INSIDE * shown))
+    return np.asarray((shown > 0) & (inside > share * shown))

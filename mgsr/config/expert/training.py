@@ -74,8 +74,17 @@ class ExposureOptions(Options):
 
 
 @dataclass(frozen=True)
+class BackgroundOptions(Options):
+    """The surfels of what lies around a found object."""
+
+    beside: Share = 0.005  # of the photograph's longer side; margin of the masks that training ignores
+    inside: Share = 0.9  # of the views; a starting point inside the masks of more views is the object's
+
+
+@dataclass(frozen=True)
 class TrainingOptions(Options):
     """What is trained before the training."""
 
+    background: BackgroundOptions = field(default_factory=BackgroundOptions)
     outlines: OutlineOptions = field(default_factory=OutlineOptions)
     exposure: ExposureOptions = field(default_factory=ExposureOptions)

@@ -61,7 +61,7 @@ def run_scene(
     since = StepClock(started_at)
     step = Steps(StepClock(), progress, should_stop)
     budget = make_budget(config, lambda: since.total, chosen, out / CHECKPOINT if resume else None)
-    scene = take_scene(given, out, config, step)
+    scene = take_scene(given, out, config, step, resume)
     if budget is not None:
         scene = fitted_scene(scene, budget, config, step.clock)
     scene, start = preprocess(scene, config, out, step, budget)
@@ -97,7 +97,7 @@ def train_only(
         raise ConfigError("time_budget: training alone keeps to none; use `mgsr run`, or a preset")
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
-    scene = take_scene(scene_path, out, config, step)
+    scene = take_scene(scene_path, out, config, step, resume)
     scene, start = preprocess(scene, config, out, step)
     return _Training(_Run(scene, start, config, out, step, chosen), resume).run(before_surface=True)
 

@@ -18,9 +18,10 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 from pillow_heif import from_pillow
 
-from mgsr.data.find_poses import _write_cameras, find_poses
+from mgsr.data.find_poses import find_poses
 from mgsr.data.gather_photos import gather
 from mgsr.data.shared_lenses import share_lenses
+from mgsr.data.structure_from_motion import write_cameras
 from mgsr.errors import ConfigError, SceneError
 from tests.data.captures import look_at
 from tests.data.reading import draw, read_capture
@@ -93,7 +94,7 @@ def test_cameras_are_found_up_to_the_frame(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("camera_per_image", "cameras", "cure"),
     [
-        (False, "one camera: ", r"with texture; if these were zoomed or cropped, try `--camera-per-image`$"),
+        (False, "one camera: ", r"with texture; if these were zoomed or cropped, try `--set camera_per_image=on`$"),
         (True, "a camera for each photograph", "with texture$"),
     ],
 )
@@ -117,11 +118,11 @@ def test_cameras_in_the_database_are_shared_and_know_what_exif_says(tmp_path: Pa
         save_photo(tmp_path / "photos" / name, {0x010F: "Apple", 0x0110: "iPhone 12"}, tags)
     save_photo(tmp_path / "photos/e.png", {}, {})
     gathered = gather(tmp_path / "photos", sorted((tmp_path / "photos").iterdir()), tmp_path / "images")
-    names = _write_cameras(pycolmap, tmp_path / "new.db", tmp_path / "images", share_lenses(gathered.shots))
-    assert names == ["a.jpg", "b.jpg", "c.png", "d.jpg", "e.png"]
+    write_cameras(pycolmap, tmp_path / "new.db", tmp_path / "images", share_lenses(gathered.shots))
     with contextlib.closing(sqlite3.connect(tmp_path / "new.db")) as database:
         images = dict(database.execute("SELECT name, camera_id FROM images"))
         cameras = {row[0]: row[1:] for row in database.execute("SELECT * FROM cameras")}
+    assert sorted(images) == ["a.jpg", "b.jpg", "c.png", "d.jpg", "e.png"]
     assert images["a.jpg"] == images["b.jpg"] == images["c.png"], "the HEIC lost its EXIF in conversion, not its lens"
     assert len({images[name] for name in ("a.jpg", "d.jpg", "e.png")}) == len(cameras) == 3
     for name, focal, known in (("a.jpg", 26 / 43.27 * 500, 1), ("d.jpg", 4.2 / 5.76 * 400, 1), ("e.png", 480, 0)):
@@ -179,9 +180,9 @@ def test_sigterm_stays_ours_beside_colmap() -> None:
     COLMAP's log library ends the process otherwise, and leaves a call trace and temporary files.
     """
     code = (
-        "import os, signal; from mgsr.data.find_poses import _pycolmap\n"
+        "import os, signal; from mgsr.data.structure_from_motion import load_pycolmap\n"
         "def end(*given): raise SystemExit(143)\n"
-        "signal.signal(signal.SIGTERM, end); _pycolmap(); os.kill(os.getpid(), signal.SIGTERM)"
+        "signal.signal(signal.SIGTERM, end); load_pycolmap(); os.kill(os.getpid(), signal.SIGTERM)"
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert (ran.returncode, ran.stderr) == (143, "")

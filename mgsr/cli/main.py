@@ -32,7 +32,7 @@ from mgsr.config import make_config
 from mgsr.pipeline.stop_signals import stop_on_signals
 
 app = typer.Typer(
-    help="Posed photographs in, surface mesh and clean renders out.",
+    help="Photographs in, surface mesh and clean renders out.",
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,

@@ -98,7 +98,8 @@ def open_video(path: Path, limits: VideoLimits | None = None) -> Iterator[Video]
     import av
 
     limits = limits or VideoLimits()
-    av.logging.set_level(av.logging.PANIC)  # its errors arrive as exceptions
+    # FFmpeg's threads would wait for Python's lock to log, and Python for the threads; errors arrive as exceptions.
+    av.logging.set_level(None)
     # FFmpeg heeds max_pixels before it allocates a frame, also while it looks for what the streams are.
     bounds = {"max_pixels": str(limits.pixels)}
     try:

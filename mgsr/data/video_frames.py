@@ -149,9 +149,9 @@ class _Follower:
     """
 
     def __init__(self) -> None:
-        self._before: np.ndarray | None = None
-        self._begun = np.zeros((0, 1, 2), np.float32)
-        self._places = self._begun
+        self._before: Any = None
+        self._begun: Any = np.zeros((0, 1, 2), np.float32)
+        self._places: Any = self._begun
         self._found = 0
         self._path = 0.0
 

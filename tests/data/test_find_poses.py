@@ -11,7 +11,6 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -23,70 +22,24 @@ from mgsr.data.gather_photos import gather
 from mgsr.data.shared_lenses import share_lenses
 from mgsr.data.structure_from_motion import write_cameras
 from mgsr.errors import ConfigError, SceneError
-from tests.data.captures import look_at
+from tests.data.corner import camera_errors, poses, save_pictures
 from tests.data.reading import draw, read_capture
 
 importlib.import_module("OpenImageIO")  # before pycolmap, as in the program: the two don't bear the other order
 pycolmap = pytest.importorskip("pycolmap")
 
-WIDTH, HEIGHT = 320, 240
-K = np.array([[300.0, 0, WIDTH / 2], [0, 300, HEIGHT / 2], [0, 0, 1]])
-TEXTURE = 512
-# The corner's sides: the origin and the edges of each square, 4 units long.
-SIDES = [
-    ([-2, -2, -1], [4, 0, 0], [0, 4, 0]),
-    ([-2, 2, -1], [4, 0, 0], [0, 0, 4]),
-    ([-2, -2, -1], [0, 4, 0], [0, 0, 4]),
-]
-
-
-def poses() -> list[np.ndarray]:
-    turns = np.linspace(0.15, 1.35, 8)
-    eyes = [[5 * np.sin(turn), -5 * np.cos(turn), 2 + 0.3 * np.sin(5 * turn)] for turn in turns]
-    return [look_at(np.array(eye), np.array([-0.6, 0.6, 0.3])) for eye in eyes]
-
-
-def picture(pose: np.ndarray) -> np.ndarray:
-    """Draw the nearer sides over the farther ones; they meet in edges, so that their order doesn't matter."""
-    image = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)
-    for seed, (origin, across, down) in enumerate(SIDES):
-        noise = np.random.default_rng(seed).integers(0, 256, (64, 64, 3), dtype=np.uint8)
-        texture = cv2.resize(noise, (TEXTURE, TEXTURE), interpolation=cv2.INTER_CUBIC)
-        plane = np.stack([np.array(across) / TEXTURE, np.array(down) / TEXTURE, np.array(origin)], axis=1)
-        homography = K @ (pose[:3, :3] @ plane + np.outer(pose[:3, 3], [0, 0, 1]))
-        drawn = cv2.warpPerspective(texture, homography, (WIDTH, HEIGHT), flags=cv2.INTER_AREA)
-        seen = cv2.warpPerspective(np.full((TEXTURE, TEXTURE), 255, np.uint8), homography, (WIDTH, HEIGHT)) > 127
-        image[seen] = drawn[seen]
-    return image
-
-
-def aligned(found: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the rotation and scale that take centred points to others (Kabsch)."""
-    found, true = found - found.mean(0), true - true.mean(0)
-    left, _, right = np.linalg.svd(true.T @ found)
-    rotation = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
-    return rotation, float(np.sqrt((true**2).sum() / (found**2).sum()))
-
 
 @pytest.mark.slow
 def test_cameras_are_found_up_to_the_frame(tmp_path: Path) -> None:
-    for i, pose in enumerate(poses()):
-        path = tmp_path / f"photos/{i}.png"
-        path.parent.mkdir(exist_ok=True)
-        cv2.imwrite(str(path), picture(pose))
+    save_pictures(tmp_path / "photos")
     said: list[str] = []
     assert find_poses(tmp_path / "photos", tmp_path / "scene", 0, said.append) == ()
     assert said[:2] == ["one camera: 320x240", "finding features in 8 photographs"]
     assert said[-1].startswith("8 photographs placed")
     photos = sorted(read_capture(tmp_path / "scene", "colmap").photos, key=lambda photo: photo.image)
-    found = np.array([photo.cam_from_world for photo in photos])
-    true = np.array(poses())
-    centers = [-np.einsum("nji,nj->ni", item[:, :3, :3], item[:, :3, 3]) for item in (found, true)]
-    turn, scale = aligned(*centers)
-    rest = scale * (centers[0] - centers[0].mean(0)) @ turn.T - (centers[1] - centers[1].mean(0))
-    assert np.abs(rest).max() < 0.05, "one per cent of the distance"
-    for ours, theirs in zip(found[:, :3, :3], true[:, :3, :3], strict=True):
-        assert np.degrees(np.arccos(np.clip((np.trace(ours @ turn.T @ theirs.T) - 1) / 2, -1, 1))) < 1
+    place, turn = camera_errors(np.array([photo.cam_from_world for photo in photos]), np.array(poses()))
+    assert place.max() < 0.05, "one per cent of the distance"
+    assert turn.max() < 1
     assert all(abs(photo.K[0, 0] / 300 - 1) < 0.02 for photo in photos)
     assert len({photo.K[0, 0] for photo in photos}) == 1, "one lens"
 

@@ -27,6 +27,9 @@ from mgsr.errors import Cancelled, ConfigError, SceneError
 _FRAMES = 0.3
 
 
+# The names of these kinds of input in reports.
+PHOTOGRAPHS, VIDEO = "photographs", "video"
+
 # The share of the rest that decoding the photographs takes, and then that finding their cameras begins.
 _GATHERED = 0.1
 
@@ -81,7 +84,7 @@ def facts_without_cameras(found: FoundScene) -> dict[str, Any]:
     """Return what is known of a capture whose cameras have not been searched for, by names for people."""
     root = found.folder.root
     files = videos_below(root) if found.is_video else find_photos(root, found.given)
-    kind = "video" if found.is_video else "photographs"
+    kind = VIDEO if found.is_video else PHOTOGRAPHS
     return {"name": found.name, "format": kind, "files": len(files), "cameras": "none; a run searches for them"}
 
 
@@ -194,6 +197,6 @@ def _rename(model: Any, originals: Mapping[str, str]) -> None:
 
 
 def _as_scene(found: FoundScene, capture: Capture, folder: SceneFolder) -> FoundScene:
-    name = "video" if found.is_video else "photographs"
+    name = VIDEO if found.is_video else PHOTOGRAPHS
     kind = Format(name, "photographs or a video without cameras", lambda root: None, lambda folder: capture)
     return replace(found, kind=kind, folder=folder)

@@ -38,7 +38,7 @@ def pair_count(count: int, frames: bool) -> int:
     """Return about how many pairs are compared."""
     if exhaustive(count, frames):
         return count * (count - 1) // 2
-    return count * (2 * FOLLOWING + (SIMILAR_FRAMES if frames else SIMILAR)) // 2 + count * FOLLOWING // 2
+    return count * (3 * FOLLOWING // 2 + (SIMILAR_FRAMES if frames else SIMILAR))
 
 
 def choose_pairs(colmap: Any, database: Path, names: Sequence[str], frames: bool, work: Path, seed: int) -> list[Pair]:
@@ -59,8 +59,9 @@ def choose_pairs(colmap: Any, database: Path, names: Sequence[str], frames: bool
             options = colmap.VocabTreePairingOptions(vocab_tree_path=vocabulary, num_images=similar + 1)
             generators.append(colmap.VocabTreePairGenerator(options, opened))
         if frames or vocabulary is None or are_ordered(names):
-            options = colmap.SequentialPairingOptions(overlap=FOLLOWING, quadratic_overlap=True)
-            generators.append(colmap.SequentialPairGenerator(options, opened))
+            for by_powers_of_two in (False, True):
+                options = colmap.SequentialPairingOptions(overlap=FOLLOWING, quadratic_overlap=by_powers_of_two)
+                generators.append(colmap.SequentialPairGenerator(options, opened))
         pairs = {
             tuple(sorted((images[one], images[other])))
             for generator in generators

@@ -23,6 +23,9 @@ from mgsr.parallel import core_count
 _CODECS = ("h264", "hevc", "vp8", "vp9", "av1")
 _MOST_THREADS = 8
 
+# A Matroska video whose last frame comes before this share of its length, less so many seconds, is cut off.
+_LEAST_SEEN, _TAIL = 0.95, 0.2
+
 # Colour codes of ITU-T H.273.
 _BT601, _BT709, _BT2020 = (5, 6), 1, 9
 _PQ, _HLG = 16, 18
@@ -72,10 +75,11 @@ class Video:
         """
         import av
 
-        count = 0
+        count, end = 0, 0.0
         try:
             for frame in self._container.decode(self._stream):
                 count += 1
+                end = max(end, frame.time or 0.0)
                 if count > self._limits.frames:
                     raise _too_long(self.path, count, self._limits)
                 if (frame.width, frame.height) != (self.width, self.height):
@@ -83,6 +87,10 @@ class Video:
                 yield frame
         except (av.FFmpegError, ValueError, EOFError) as error:
             raise _damaged(self.path, f"after {count} frames: {in_short(error)}") from error
+        whole = (self._container.duration or 0) / av.time_base
+        # FFmpeg takes the end of a Matroska file for the end of the video, wherever it comes.
+        if "matroska" in self._container.format.name and end < _LEAST_SEEN * whole - _TAIL:
+            raise _damaged(self.path, f"it says {whole:.1f} s and ends after {end:.1f} s")
 
 
 @contextmanager

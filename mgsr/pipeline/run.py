@@ -27,7 +27,7 @@ from mgsr.pipeline.report_pictures import SurfaceDrawings, draw_surface, report_
 from mgsr.pipeline.result_paths import CHECKPOINT, REPORT
 from mgsr.pipeline.run_metadata import run_report
 from mgsr.pipeline.steps import StepClock, Steps, StopCheck, always, never
-from mgsr.pipeline.time_budget import budget_report, fitted_scene, make_budget, plan_line, planned_config
+from mgsr.pipeline.time_budget import budget_report, fitted_scene, learn_search, make_budget, plan_line, planned_config
 from mgsr.report.data import ReportData
 from mgsr.start.starting_points import StartingPoints
 from mgsr.training.progress import TrainResult
@@ -63,6 +63,8 @@ def run_scene(
     budget = make_budget(config, lambda: since.total, chosen, out / CHECKPOINT if resume else None)
     scene = take_scene(given, out, config, step, resume)
     if budget is not None:
+        if not resume:
+            learn_search(scene, budget, step.clock)
         scene = fitted_scene(scene, budget, config, step.clock)
     scene, start = preprocess(scene, config, out, step, budget)
     if budget is not None:

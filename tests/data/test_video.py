@@ -96,10 +96,10 @@ def refused(path: Path, message: str, limits: VideoLimits | None = None) -> None
 def test_what_exceeds_the_limits(tmp_path: Path) -> None:
     path = film(tmp_path / "a.mp4", pan(range(20)))
     refused(path, r"a\.mp4: 20 frames or more; at most 10 are taken: cut it shorter", VideoLimits(frames=10))
-    refused(path, "a damaged|frames of 320x240 pixels", VideoLimits(pixels=1000))
+    refused(path, "a damaged|frames of .* expected 1 to 1000 in one", VideoLimits(pixels=1000))
     web = film(tmp_path / "a.webm", pan(range(20)))
     refused(web, "11 frames or more; at most 10", VideoLimits(frames=10))
-    refused(web, "a damaged|frames of 320x240 pixels", VideoLimits(pixels=1000))
+    refused(web, "a damaged|frames of .* expected 1 to 1000 in one", VideoLimits(pixels=1000))
 
 
 def test_files_that_are_no_videos(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_files_that_are_no_videos(tmp_path: Path) -> None:
         ("page.mp4", "is a web page"),
         ("empty.mp4", "is an empty file"),
         ("a.avi", "expected an MP4"),
-        ("bare.mp4", "damaged or cut off|no video in it"),
+        ("bare.mp4", r"damaged or cut off|no video in it"),
     ):
         refused(tmp_path / name, message)
 

@@ -172,7 +172,7 @@ class _Follower:
 
         if not len(self._places):
             return 0.0
-        places, there, _ = cv2.calcOpticalFlowPyrLK(self._before, grey, self._places, None)
+        places, there, _ = cv2.calcOpticalFlowPyrLK(self._before, grey, self._places, np.empty_like(self._places))
         kept = there.ravel() == 1
         self._places, self._begun = places[kept], self._begun[kept]
         if not kept.any():

@@ -52,11 +52,10 @@ def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps, resu
             found = find_capture(given, config.data)
         if found.kind is None:
             found = _with_cameras(found, out, config, step, resume)
-        else:
-            CameraFolder(out / CAMERAS).clear()
+        elif not found.folder.root.resolve().is_relative_to((out / CAMERAS).resolve()):
+            CameraFolder(out / CAMERAS).clear()  # an earlier run's, of other photographs
         with step.clock.step("load"):
-            progress = partial(_tell_loading, step)
-            scene = load_capture(found, config.data, progress)
+            scene = load_capture(found, config.data, partial(_tell_loading, step))
             result_files.clear_reports(out)
     for text in (scene_line(scene), *scene.notes, *origin_notes(scene.user_from_scene, config.output.scale)):
         step.progress(Event("load", text))

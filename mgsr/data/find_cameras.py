@@ -37,12 +37,28 @@ _FOUND = "the cameras were found from the photographs, which came without any: l
 
 
 @dataclass(frozen=True)
-class _Sought:
-    """Photographs whose cameras are sought: their folder and files, and whether they are frames of videos."""
+class _Task:
+    """A capture without cameras, its photographs or videos, and where its cameras go."""
 
-    folder: SceneFolder
-    images: list[Path]
-    frames: bool
+    found: FoundScene
+    files: list[Path]
+    folder: CameraFolder
+    config: DataConfig
+
+    @property
+    def photos(self) -> SceneFolder:
+        """The folder of the photographs, which for videos are the chosen frames."""
+        return SceneFolder.at(self.folder.images if self.found.is_video else self.found.folder.root)
+
+    @property
+    def images(self) -> list[Path]:
+        """The files of the photographs."""
+        return sorted(self.folder.images.rglob("*.jpg")) if self.found.is_video else self.files
+
+    def settings(self, seed: int) -> str:
+        """Return the settings that change which cameras are found."""
+        of_videos = (self.config.video_frames, self.config.max_side) if self.found.is_video else ()
+        return repr((seed, self.config.camera_per_image, *of_videos))
 
 
 def with_cameras(found: FoundScene, config: DataConfig, search: CameraSearch) -> FoundScene:
@@ -55,37 +71,37 @@ def with_cameras(found: FoundScene, config: DataConfig, search: CameraSearch) ->
     if found.kind is not None:
         return found
     folder = CameraFolder(search.folder or temporary_folder("mgsr-cameras-"))
-    root = found.folder.root
-    videos = videos_below(root) if found.is_video else []
-    files = videos or find_photos(root, found.given)
-    of_videos = (config.video_frames, config.max_side) if videos else ()
-    settings = repr((search.seed, config.camera_per_image, *of_videos))
-    photographs = key_of(files, root)
+    task = _Task(found, _files_of(found), folder, config)
+    photographs, settings = key_of(task.files, found.folder.root), task.settings(search.seed)
     state = None
     if search.resume or search.known_only:
         state = folder.state(photographs, None if search.known_only else settings)
-    if search.known_only and (state is None or not state.finished):
-        raise no_cameras_in(folder.path, found.given)
-    try:
-        if state is None or not state.finished:
-            require_pycolmap()
-            state = _searched(
-                found, videos, files, folder, state or _begun(folder, photographs, settings), config, search
-            )
-        sought = _sought(found, folder, files)
-        capture = folder.read(sought.folder, (*state.notes, _FOUND))
-    except (SceneError, ConfigError):
-        folder.clear()
-        raise
-    return _as_scene(found, capture, sought.folder)
+    if state is None or not state.finished:
+        if search.known_only:
+            raise no_cameras_in(folder.path, found.given)
+        require_pycolmap()
+        try:
+            state = _searched(task, state or _begun(folder, photographs, settings), search)
+        except (SceneError, ConfigError):
+            folder.clear()
+            raise
+    return _as_scene(found, folder.read(task.photos, (*state.notes, _FOUND)), task.photos)
 
 
 def facts_without_cameras(found: FoundScene) -> dict[str, Any]:
     """Return what is known of a capture whose cameras have not been searched for, by names for people."""
+    return {
+        "name": found.name,
+        "format": VIDEO if found.is_video else PHOTOGRAPHS,
+        "files": len(_files_of(found)),
+        "cameras": "none; a run searches for them",
+    }
+
+
+def _files_of(found: FoundScene) -> list[Path]:
+    """Return the photographs or the videos of a capture without cameras."""
     root = found.folder.root
-    files = videos_below(root) if found.is_video else find_photos(root, found.given)
-    kind = VIDEO if found.is_video else PHOTOGRAPHS
-    return {"name": found.name, "format": kind, "files": len(files), "cameras": "none; a run searches for them"}
+    return videos_below(root) if found.is_video else find_photos(root, found.given)
 
 
 def _begun(folder: CameraFolder, photographs: str, settings: str) -> SearchState:
@@ -96,51 +112,31 @@ def _begun(folder: CameraFolder, photographs: str, settings: str) -> SearchState
     return state
 
 
-def _sought(found: FoundScene, folder: CameraFolder, files: list[Path]) -> _Sought:
-    """Return the photographs, which for videos are the frames that were chosen."""
-    if not found.is_video:
-        return _Sought(SceneFolder.at(found.folder.root), files, False)
-    return _Sought(SceneFolder.at(folder.images), sorted(folder.images.rglob("*.jpg")), True)
-
-
-def _searched(
-    found: FoundScene,
-    videos: Sequence[Path],
-    files: list[Path],
-    folder: CameraFolder,
-    state: SearchState,
-    config: DataConfig,
-    search: CameraSearch,
-) -> SearchState:
+def _searched(task: _Task, state: SearchState, search: CameraSearch) -> SearchState:
     """Search for the cameras, from where an interrupted search stopped, and leave them in the folder."""
-    begin = 0.0
-    if videos:
-        begin = _FRAMES
-        if not state.frames or len(_sought(found, folder, files).images) != state.frames:
-            state = _with_frames(videos, folder, state, config, search)
-    search = replace(search, tell=search.share(begin, 1.0))
-    sought = _sought(found, folder, files)
+    if task.found.is_video:
+        if not state.frames or len(task.images) != state.frames:
+            state = _with_frames(task, state, search)
+        search = replace(search, tell=search.share(_FRAMES, 1.0))
     with tempfile.TemporaryDirectory(prefix="mgsr-poses-") as work:
-        gathered = gather(sought.folder.root, sought.images, Path(work, "images"), search.share(0, _GATHERED))
+        gathered = gather(task.photos.root, task.images, Path(work, "images"), search.share(0, _GATHERED))
         for note in gathered.notes:  # before an hour of matching, not after
             search.say(note)
-        lenses = lenses_of(gathered.shots, config.camera_per_image, search)
+        lenses = lenses_of(gathered.shots, task.config.camera_per_image, search)
         search = replace(search, tell=search.share(_GATHERED, 1.0))
-        model, notes = _kept_model(Path(work), folder, lenses, sought.frames, search)
+        model, notes = _kept_model(Path(work), task.folder, lenses, task.found.is_video, search)
         _rename(model, gathered.originals)
         finished = replace(state, finished=True, notes=(*state.notes, *gathered.notes, *notes))
-        folder.finish(model, finished)
+        task.folder.finish(model, finished)
     return finished
 
 
-def _with_frames(
-    videos: Sequence[Path], folder: CameraFolder, state: SearchState, config: DataConfig, search: CameraSearch
-) -> SearchState:
+def _with_frames(task: _Task, state: SearchState, search: CameraSearch) -> SearchState:
     """Choose frames of the videos; return the state after that."""
-    shutil.rmtree(folder.images, ignore_errors=True)
-    count, notes = choose_frames_of(videos, folder.images, config, search)
+    shutil.rmtree(task.folder.images, ignore_errors=True)
+    count, notes = choose_frames_of(task.files, task.folder.images, task.config, search)
     state = replace(state, notes=notes, frames=count)
-    folder.write_state(state)
+    task.folder.write_state(state)
     return state
 
 

@@ -6,6 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+# The file that marks a folder of found cameras.
+SEARCH_STATE = "search.json"
+
 # Receives a line for the person who waits.
 Say = Callable[[str], None]
 # Receives the share 0..1 of the search that is done. It may raise Cancelled, which ends the search.

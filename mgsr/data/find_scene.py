@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mgsr.data.archive import ARCHIVE_SUFFIXES
+from mgsr.data.camera_search import SEARCH_STATE
 from mgsr.data.capture import Format, Photo
 from mgsr.data.files import MASK_FOLDERS, images_below
 from mgsr.data.formats import all_formats
@@ -84,7 +85,10 @@ def _levels(folder: Path) -> Iterator[list[Path]]:
 
 
 def _inner(folder: Path, seen: set[str]) -> list[Path]:
-    """Return the folders in a folder that may hold a scene and are not in `seen`, and add them to it."""
+    """Return the folders in a folder that may hold a scene and are not in `seen`, and add them to it.
+
+    Cameras that an earlier run found for its photographs are no scene of their own.
+    """
     try:
         paths = sorted(path for path in folder.iterdir() if path.is_dir())
     except OSError:
@@ -93,6 +97,7 @@ def _inner(folder: Path, seen: set[str]) -> list[Path]:
     for path in paths:
         real = os.path.realpath(path)
         hidden = path.name.startswith((".", "__")) or path.name.lower() in MASK_FOLDERS
+        hidden = hidden or (path / SEARCH_STATE).is_file()
         if not hidden and real not in seen and len(seen) < _MOST_FOLDERS:
             seen.add(real)
             found.append(path)

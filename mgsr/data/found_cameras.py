@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from mgsr.data.camera_search import SEARCH_STATE
 from mgsr.data.capture import Capture
 from mgsr.data.formats.colmap import read_model
 from mgsr.data.photo_files import SceneFolder
@@ -21,7 +22,6 @@ from mgsr.errors import SceneError
 MODEL = "sparse/0"
 IMAGES = "images"
 DATABASE = "database.db"
-STATE = "search.json"
 
 # Least seconds between two copies of the database, and the least multiple of a copy's time.
 _KEEP_EVERY = 20.0
@@ -67,7 +67,7 @@ class CameraFolder:
         photographs, settings: what it must be of; None takes any settings. Returns None where there is no such search.
         """
         try:
-            content = json.loads((self.path / STATE).read_text(encoding="utf-8"))
+            content = json.loads((self.path / SEARCH_STATE).read_text(encoding="utf-8"))
             state = SearchState(**content | {"notes": tuple(content["notes"])})
         except (OSError, ValueError, TypeError, LookupError):
             return None
@@ -78,13 +78,13 @@ class CameraFolder:
     def write_state(self, state: SearchState) -> None:
         """Write the state, whole or not at all."""
         self.path.mkdir(parents=True, exist_ok=True)
-        partial = self.path / f".partial.{STATE}"
+        partial = self.path / f".partial.{SEARCH_STATE}"
         partial.write_text(json.dumps(asdict(state)), encoding="utf-8")
-        os.replace(partial, self.path / STATE)
+        os.replace(partial, self.path / SEARCH_STATE)
 
     def clear(self) -> None:
         """Remove what the folder holds, and the folder if nothing else is in it."""
-        for name in (DATABASE, STATE, f".partial.{STATE}", f".partial.{DATABASE}"):
+        for name in (DATABASE, SEARCH_STATE, f".partial.{SEARCH_STATE}", f".partial.{DATABASE}"):
             (self.path / name).unlink(missing_ok=True)
         for name in (IMAGES, MODEL.split("/")[0]):
             shutil.rmtree(self.path / name, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""MGSR: posed photographs in, surface mesh and clean renders out.
+"""MGSR: photographs in, surface mesh and clean renders out.
 
 Importing this needs nothing else. Each name below is imported from its module when it is first used; docs/python.md
 explains them.

@@ -40,7 +40,7 @@ def serve(host: HostOption = "127.0.0.1", port: PortOption = 8000) -> None:
 
 
 def submit(
-    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="A folder or archive of posed photographs.")],
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="A folder or archive of photographs, or a video.")],
     wait: Annotated[
         bool, typer.Option("--wait", help="Follow the job, and fetch its results when it is done.")
     ] = False,

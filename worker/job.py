@@ -97,14 +97,13 @@ def _run(spec: JobSpec) -> JobResult:
 
 def _reconstruct(spec: JobSpec) -> None:
     from mgsr.config import make_config
-    from mgsr.data.archive import ArchiveLimits, unpack
     from mgsr.pipeline.stop_signals import stop_on_signals
     from worker.images import check_images
 
     started_at = time.perf_counter()
     with stop_on_signals() as stop:
         emit("step", step="unpack", text="unpacking the archive", progress=0.0, eta_seconds=None)
-        unpack(spec.archive, spec.scene, ArchiveLimits(spec.max_members, spec.max_unpacked, spec.max_ratio))
+        _unpack(spec)
         check_images(spec.scene, spec.max_pixels)
         options = spec.options
         watch = ["watch.report_every=5", "watch.preview_every=200"]
@@ -131,6 +130,19 @@ def _reconstruct(spec: JobSpec) -> None:
                 stop,
                 started_at=started_at,
             )
+
+
+def _unpack(spec: JobSpec) -> None:
+    """Unpack the archive into the scene's folder; a video that came alone is put there."""
+    from mgsr.data.archive import ArchiveLimits, unpack
+    from mgsr.data.video import suffix_by_content
+
+    suffix = suffix_by_content(spec.archive)
+    if suffix is None:
+        unpack(spec.archive, spec.scene, ArchiveLimits(spec.max_members, spec.max_unpacked, spec.max_ratio))
+        return
+    spec.scene.mkdir(parents=True)
+    os.link(spec.archive, spec.scene / f"{spec.scene.name}{suffix}")
 
 
 def emit(kind: str, **data: Any) -> None:

@@ -32,7 +32,7 @@ from mgsr.config import make_config
 from mgsr.pipeline.stop_signals import stop_on_signals
 
 app = typer.Typer(
-    help="Posed photographs in, surface mesh and clean renders out.",
+    help="Photographs in, surface mesh and clean renders out.",
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -49,11 +49,13 @@ def info(scene: SceneArgument, settings: SetOption = None) -> None:
     """Say what SCENE holds, after every check that a run makes before training."""
     with refusals():
         config = make_config(overrides=settings or [])
-        from mgsr.data.readers import load_scene
+        from mgsr.data.find_cameras import facts_without_cameras
+        from mgsr.data.readers import find_capture, load_capture
         from mgsr.pipeline.run_metadata import scene_facts
 
-        found = load_scene(scene, config.data)
-        for name, value in scene_facts(found).items():
+        found = find_capture(scene, config.data)
+        facts = facts_without_cameras(found) if found.kind is None else scene_facts(load_capture(found, config.data))
+        for name, value in facts.items():
             print(f"{name:16} {', '.join(map(str, value)) if isinstance(value, list) else value}")
 
 

@@ -19,7 +19,7 @@ from mgsr.pipeline.stop_signals import INTERRUPTED, cleaned_up_after_signals
 REFUSED = 2
 
 SceneArgument = Annotated[
-    Path, typer.Argument(metavar="SCENE", help="A folder or archive of posed photographs (docs/inputs.md).")
+    Path, typer.Argument(metavar="SCENE", help="A folder or archive of photographs, or a video (docs/inputs.md).")
 ]
 OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder of the results.")]
 PresetOption = Annotated[str, typer.Option(help=f"How much work: {', '.join(PRESETS)}.", metavar="PRESET")]

@@ -54,6 +54,9 @@ class DataConfig:
     # object, of which masks are found then; none leaves it to `object`
     blurred: Blurred = Blurred.KEEP
     confined: bool = False  # look for nothing outside the folder that is given; jobs of the service always do so
+    camera_per_image: bool = False  # where cameras are searched for: each photograph has a lens of its own, as after
+    # zooming or cropping; else the photographs of one camera share a lens
+    video_frames: int = 200  # at most so many frames of videos are used; their number depends on the motion
     test_every: int = 8  # every n-th view is held out, where the files name no split
     max_side: int = 1600  # pixels; larger photographs are reduced to this by area means, before the lens is undone
 

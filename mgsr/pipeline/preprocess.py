@@ -4,22 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from mgsr.budget.budget import TimeBudget
 from mgsr.config import Config, DataConfig, Exposure, object_box
+from mgsr.data.camera_search import CameraSearch
 from mgsr.data.exposure import evened
+from mgsr.data.find_cameras import with_cameras
+from mgsr.data.find_scene import FoundScene
+from mgsr.data.found_cameras import CameraFolder
 from mgsr.data.masks import with_masks
 from mgsr.data.object_scene import with_object
-from mgsr.data.readers import load_scene
+from mgsr.data.readers import find_capture, load_capture, load_scene
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import origin_notes
 from mgsr.pipeline import result_files
 from mgsr.pipeline.object_files import clear_object, ground_of, require_place_for_masks, write_object
 from mgsr.pipeline.progress import Event
+from mgsr.pipeline.result_paths import CAMERAS
 from mgsr.pipeline.run_metadata import scene_line
 from mgsr.pipeline.steps import Steps
 from mgsr.pipeline.time_budget import most_points, searches_object
@@ -33,18 +39,55 @@ from mgsr.training.outlines import learned_outlines
 LATER = ("exposure", "object", "object_box")  # settings of DataConfig that take effect after the reading
 
 
-def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps) -> Scene:
-    """Return the scene, loaded if a path is given; report it, and remove an earlier run's reports from `out`."""
+def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps, resume: bool = False) -> Scene:
+    """Return the scene, loaded if a path is given; report it, and remove an earlier run's reports from `out`.
+
+    Where the photographs have no cameras, these are searched for first, and left in `out`. resume: use cameras that are
+    there already, and go on with a search that was interrupted.
+    """
     if isinstance(given, Scene):
         scene = given
         result_files.clear_reports(out)
     else:
         with step("load", f"reading {given}"):
-            scene = load_scene(given, config.data, progress=lambda done, total: step.progress(_loading(done, total)))
+            found = find_capture(given, config.data)
+        if found.kind is None:
+            found = _with_cameras(found, out, config, step, resume)
+        elif not found.folder.root.resolve().is_relative_to((out / CAMERAS).resolve()):
+            CameraFolder(out / CAMERAS).clear()  # an earlier run's, of other photographs
+        with step.clock.step("load"):
+            scene = load_capture(found, config.data, partial(_tell_loading, step))
             result_files.clear_reports(out)
     for text in (scene_line(scene), *scene.notes, *origin_notes(scene.user_from_scene, config.output.scale)):
         step.progress(Event("load", text))
     return scene
+
+
+def _with_cameras(found: FoundScene, out: Path, config: Config, step: Steps, resume: bool) -> FoundScene:
+    """Search for the cameras of photographs, as a step of the run."""
+    text = "finding the cameras"
+    with step("cameras", f"{found.name} has no cameras: {text}"):
+        search = CameraSearch(
+            folder=out / CAMERAS,
+            resume=resume,
+            seed=config.seed,
+            say=lambda line: step.progress(Event("cameras", line)),
+            tell=step.share("cameras", text),
+        )
+        return with_cameras(found, config.data, search)
+
+
+def _tell_loading(step: Steps, done: int, total: int) -> None:
+    step.progress(Event("load", f"read {done} of {total} photographs", done=done / total))
+
+
+def load_again(path: Path, out: Path, config: Config) -> Scene:
+    """Load the scene of the results in `out`, with the cameras that the run found where it has none.
+
+    Raises SceneError, also where the cameras are missing.
+    """
+    search = CameraSearch(folder=out / CAMERAS, known_only=True, seed=config.seed)
+    return load_scene(path, config.data, search=search)
 
 
 def as_read(scene: Scene, config: Config) -> Config:
@@ -66,10 +109,6 @@ def as_read(scene: Scene, config: Config) -> Config:
                 "to load_scene, or the scene's path in place of the scene"
             )
     return replace(config, data=DataConfig(**chosen))
-
-
-def _loading(done: int, total: int) -> Event:
-    return Event("load", f"read {done} of {total} photographs", done=done / total)
 
 
 def preprocess(

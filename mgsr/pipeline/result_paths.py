@@ -22,6 +22,7 @@ REPORT = "report.json"
 REPORT_HTML = "report.html"
 LOG = "log.txt"
 CHECKPOINT = "checkpoint"
+CAMERAS = "cameras"
 
 
 @dataclass(frozen=True)
@@ -115,3 +116,8 @@ class ResultPaths:
     def checkpoint(self) -> Path:
         """checkpoint, from which a run goes on."""
         return self.folder / CHECKPOINT
+
+    @property
+    def cameras(self) -> Path:
+        """cameras, where photographs had none: the found ones, as COLMAP has them, and the frames of a video."""
+        return self.folder / CAMERAS

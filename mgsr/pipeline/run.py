@@ -28,7 +28,7 @@ from mgsr.pipeline.report_pictures import SurfaceDrawings, draw_surface, report_
 from mgsr.pipeline.result_paths import CHECKPOINT, REPORT
 from mgsr.pipeline.run_metadata import run_report
 from mgsr.pipeline.steps import StepClock, Steps, StopCheck, always, never
-from mgsr.pipeline.time_budget import budget_report, fitted_scene, make_budget, plan_line, planned_config
+from mgsr.pipeline.time_budget import budget_report, fitted_scene, learn_search, make_budget, plan_line, planned_config
 from mgsr.report.data import ReportData
 from mgsr.start.starting_points import StartingPoints
 from mgsr.training.progress import TrainResult
@@ -62,8 +62,10 @@ def run_scene(
     since = StepClock(started_at)
     step = Steps(StepClock(), progress, should_stop)
     budget = make_budget(config, lambda: since.total, chosen, out / CHECKPOINT if resume else None)
-    scene = take_scene(given, out, config, step)
+    scene = take_scene(given, out, config, step, resume)
     if budget is not None:
+        if not resume:
+            learn_search(scene, budget, step.clock)
         scene = fitted_scene(scene, budget, config, step.clock)
     scene, start = preprocess(scene, config, out, step, budget)
     if budget is not None:
@@ -98,7 +100,7 @@ def train_only(
         raise ConfigError("time_budget: training alone keeps to none; use `mgsr run`, or a preset")
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
-    scene = take_scene(scene_path, out, config, step)
+    scene = take_scene(scene_path, out, config, step, resume)
     scene, start = preprocess(scene, config, out, step)
     return _Training(_Run(scene, start, config, out, step, chosen), resume).run(before_surface=True)
 

@@ -68,7 +68,7 @@ def _archive(scene: Path) -> Iterator[Path]:
         yield scene
         return
     if not scene.is_dir():
-        raise SetupError(f"{scene}: expected a folder or an archive of posed photographs; there is nothing")
+        raise SetupError(f"{scene}: expected a folder or an archive of photographs, or a video; there is nothing")
     with tempfile.NamedTemporaryFile(suffix=".zip") as made:
         with zipfile.ZipFile(made, "w", zipfile.ZIP_STORED) as target:  # photographs are compressed already
             for path in sorted(scene.rglob("*")):

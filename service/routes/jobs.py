@@ -95,7 +95,7 @@ async def submit(
     idempotency_key: IdempotencyKey = None,
     options: OptionsQuery = None,
 ) -> Response:
-    """Submit a capture: an archive (zip, tar, tar.gz, tar.zst) of posed photographs, and what to make of it."""
+    """Submit a capture: an archive (zip, tar, tar.gz, tar.zst) of photographs, or a video, and what to make of it."""
     asked = _options(options)
     _check_webhook(asked, parts)
     await _room_for(request, owner, parts)

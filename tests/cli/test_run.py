@@ -30,6 +30,7 @@ from mgsr.pipeline.evaluation import find_truth, surface_scores
 from mgsr.pipeline.result_files import read_mesh, read_models, write_models
 from program.worker import app as worker_app
 from tests.cli.spheres import SPHERES, write_spheres
+from tests.data.reading import draw
 from tests.optional import present
 
 SHORT = [
@@ -195,6 +196,15 @@ def test_single_steps_repeat_what_the_run_did(scene: Path, done: Path) -> None:
     scores = json.loads(CliRunner().invoke(app, ["evaluate", str(scene), "-o", str(done)]).stdout)
     assert scores["psnr_test"] == pytest.approx(report["psnr_test"], abs=0.05)
     assert scores["gt"]["chamfer"] == pytest.approx(report["gt"]["chamfer"], rel=0.1)
+
+
+def test_info_of_photographs_without_cameras_searches_for_none(tmp_path: Path) -> None:
+    for number in range(4):
+        draw(tmp_path / f"vase/{number}.png")
+    result = CliRunner().invoke(app, ["info", str(tmp_path / "vase")])
+    assert result.exit_code == 0, result.output
+    told = dict(line.split(maxsplit=1) for line in result.output.splitlines())
+    assert (told["format"], told["files"], told["cameras"][:4]) == ("photographs", "4", "none")
 
 
 def test_info_tells_what_was_read(scene: Path) -> None:

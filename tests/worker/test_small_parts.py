@@ -24,7 +24,7 @@ from worker import reporting
 from worker.attempt import folder_name, joined
 from worker.process import _environment
 from worker.publish import media_type
-from worker.reporting import AFTER, AFTER_SECONDS, AFTER_SHARE, BEFORE, CURVE_ROWS, Reporter
+from worker.reporting import AFTER, AFTER_SECONDS, AFTER_SHARE, BEFORE, CAMERAS, CURVE_ROWS, Reporter
 from worker.scratch import scratch_folder, sweep
 
 
@@ -46,6 +46,17 @@ def training(iteration: int, total: int = 1000, **more: Any) -> Event:
         "seconds": iteration / 100,
     }
     return Event("train", "", Progress("alone", iteration, total, done=iteration / total, **(fields | more)))
+
+
+def test_a_search_for_cameras_takes_its_share_of_the_progress(tmp_path: Path) -> None:
+    events = [Event("load", "reading"), Event("cameras", "features", done=0.5), Event("load", "read"), training(500)]
+    told = report(tmp_path, events)
+    assert [item["step"] for item in told] == ["load", "cameras", "load", "train"]
+    places = [item["progress"] for item in told]
+    assert places == sorted(places) and places[1] == CAMERAS / 2 and places[2] > CAMERAS
+    assert told[1]["step_progress"] == 0.5 and told[1]["step_eta_seconds"] is not None
+    alone = report(tmp_path, [training(500)])[0]["progress"]
+    assert places[3] == pytest.approx(CAMERAS + (1 - CAMERAS) * alone, abs=0.01)
 
 
 def test_training_as_a_person_sees_it(tmp_path: Path) -> None:

@@ -18,9 +18,17 @@ from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import origin_notes
 from mgsr.pipeline import result_files
-from mgsr.pipeline.object_files import clear_object, ground_of, require_place_for_masks, write_object
+from mgsr.pipeline.object_files import (
+    clear_object,
+    ground_of,
+    require_place_for_masks,
+    with_found_object,
+    write_object,
+)
 from mgsr.pipeline.progress import Event
+from mgsr.pipeline.result_paths import OBJECT
 from mgsr.pipeline.run_metadata import scene_line
+from mgsr.pipeline.scene_check import CheckedScene, check_scene
 from mgsr.pipeline.steps import Steps
 from mgsr.pipeline.time_budget import most_points, searches_object
 from mgsr.segmentation.object_masks import NoObject, find_object
@@ -29,21 +37,24 @@ from mgsr.start.starting_points import StartingPoints, starting_points
 from mgsr.training.exposure import find_exposures
 from mgsr.training.outlines import learned_outlines
 
-LATER = ("exposure", "object", "object_box")  # settings of DataConfig that take effect after the reading
+LATER = ("exposure", "object", "object_box", "check")  # settings of DataConfig that take effect after the reading
 
 
-def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps) -> Scene:
-    """Return the scene, loaded if a path is given; report it, and remove an earlier run's reports from `out`."""
+def take_scene(given: Path | Scene, out: Path | None, config: Config, step: Steps) -> CheckedScene:
+    """Return the scene, loaded if a path is given, and inspected; remove an earlier run's reports from `out`, if given.
+
+    Raises SceneError.
+    """
     if isinstance(given, Scene):
         scene = given
-        result_files.clear_reports(out)
     else:
         with step("load", f"reading {given}"):
             scene = load_scene(given, config.data, progress=lambda done, total: step.progress(_loading(done, total)))
-            result_files.clear_reports(out)
+    if out is not None:
+        result_files.clear_reports(out)
     for text in (scene_line(scene), *scene.notes, *origin_notes(scene.user_from_scene, config.output.scale)):
         step.progress(Event("load", text))
-    return scene
+    return check_scene(scene, config, step)
 
 
 def as_read(scene: Scene, config: Config) -> Config:
@@ -72,14 +83,25 @@ def _loading(done: int, total: int) -> Event:
 
 
 def preprocess(
-    scene: Scene, config: Config, out: Path, step: Steps, budget: TimeBudget | None = None
+    scene: Scene,
+    config: Config,
+    out: Path,
+    step: Steps,
+    budget: TimeBudget | None = None,
+    reuse_object: bool = False,
 ) -> tuple[Scene, StartingPoints]:
     """Preprocess a scene: even its exposures, find its object and its light, and choose the starting points.
 
     Returns the scene and its starting points. The scene has its photographs at a common exposure, masks where an object
     is requested and found, and a flash's irradiance where there is one. The findings are written to `out`.
+
+    reuse_object: take an object's masks from `out`, if they are there. Raises MgsrError where these do not fit the
+    photographs.
     """
     searched = searches_object(scene, config)
+    kept = searched and reuse_object and (out / OBJECT).is_file()
+    if kept:
+        scene, searched = _with_kept_object(out, scene, step), False
     if searched:
         require_place_for_masks(out)
     masks = _learn_masks(scene, config, step)
@@ -89,7 +111,8 @@ def preprocess(
         return starting_points(with_masks(of, masks), count, config.seed, progress, config.train.background)
 
     result_files.clear_findings(out)
-    clear_object(out)
+    if not kept:
+        clear_object(out)
     with step("start", "choosing starting points"):
         start = points(scene, "start", "choosing starting points")
     if config.data.exposure is not Exposure.KEEP:
@@ -97,6 +120,14 @@ def preprocess(
     if searched:
         scene, start = _object_alone(scene, start, config, out, step, points)
     return _as_lit(scene, start.lighting, config, out, step), start
+
+
+def _with_kept_object(out: Path, scene: Scene, step: Steps) -> Scene:
+    """Return the scene with the masks of the object that an earlier run left in `out`. Raises MgsrError."""
+    scene = with_found_object(out, scene)
+    note = "the object's masks are those that an earlier run found"
+    step.progress(Event("object", note))
+    return replace(scene, notes=(*scene.notes, note))
 
 
 def _at_one_exposure(

@@ -20,6 +20,7 @@ RENDERS = "renders/test"
 REPORT = "report.json"
 REPORT_HTML = "report.html"
 LOG = "log.txt"
+ESTIMATE = "estimate.json"
 CHECKPOINT = "checkpoint"
 
 

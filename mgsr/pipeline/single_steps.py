@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from mgsr.config import Config
-from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.device import pick_device
@@ -23,6 +22,7 @@ from mgsr.pipeline.result_files import (
     write_renders,
 )
 from mgsr.pipeline.result_paths import MESH
+from mgsr.pipeline.scene_check import read_scene
 from mgsr.pipeline.scene_folder import require_new_folder, write_scene_folder
 from mgsr.report.data import finite
 from mgsr.start.starting_points import starting_points
@@ -34,7 +34,7 @@ def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> R
     Raises ConfigError, SceneError, GpuError, MeshError, and MgsrError where there are no splats.
     """
     chosen = pick_device(device)
-    scene = with_found_object(out, at_known_exposures(out, load_scene(path, config.data)))
+    scene = with_found_object(out, at_known_exposures(out, read_scene(path, config.data)))
     # The run compared its surface with the starting surface, which the same seed reproduces.
     begun_on = starting_points(scene, 1, config.seed).surface if scene.masked else None
     mesh = make_mesh(read_models(out, scene.user_from_scene).to(chosen.torch), scene, config, start=begun_on)
@@ -51,7 +51,7 @@ def render_again(path: Path, out: Path, config: Config, device: str = "auto", as
     chosen = pick_device(device)
     if as_scene is not None:
         require_new_folder(as_scene)
-    scene = as_lit(out, with_found_object(out, load_scene(path, config.data)))
+    scene = as_lit(out, with_found_object(out, read_scene(path, config.data)))
     models = read_models(out, scene.user_from_scene).to(chosen.torch)
     if as_scene is not None:
         write_scene_folder(as_scene, rendered_scene(models, scene, config), config.output.scale)
@@ -65,7 +65,7 @@ def score_again(path: Path, out: Path, config: Config, device: str = "auto") -> 
     Raises ConfigError, SceneError, GpuError, and MgsrError where there are no splats.
     """
     chosen = pick_device(device)
-    scene = as_lit(out, with_found_object(out, at_known_exposures(out, load_scene(path, config.data))))
+    scene = as_lit(out, with_found_object(out, at_known_exposures(out, read_scene(path, config.data))))
     models = read_models(out, scene.user_from_scene).to(chosen.torch)
     behind = scene.backdrop(config.train.background)
     scores = image_scores(list(render_views(models, scene.test, config)), scene, behind.color)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,12 @@ from mgsr.config import make_config
 from mgsr.data.readers import load_scene
 from mgsr.errors import ConfigError, MgsrError
 from mgsr.export.scenes import write_scene
+from mgsr.pipeline import preprocess
 from mgsr.pipeline.object_files import with_found_object
+from mgsr.pipeline.progress import ignore
 from mgsr.pipeline.run import run_scene
 from mgsr.pipeline.single_steps import mesh_again, score_again
+from mgsr.pipeline.steps import StepClock, Steps
 from tests.segmentation.table_scene import TABLE, table_scene
 
 SHORT = [
@@ -71,6 +75,23 @@ def test_single_steps_take_the_masks_up(done: Path, capture: Path) -> None:
     assert scores["psnr_test"] == pytest.approx(report["psnr_test"], abs=1e-3)
     mesh = mesh_again(capture, done, config, "cpu")
     assert len(mesh.faces) == pytest.approx(report["mesh"]["faces"], rel=2e-3)  # the files hold float32
+
+
+def test_another_run_takes_the_masks_over(
+    done: Path, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*arguments: object) -> None:
+        raise AssertionError("the object is known")
+
+    monkeypatch.setattr(preprocess, "find_object", never)
+    shutil.copytree(done / "masks", tmp_path / "masks")
+    shutil.copy(done / "object.json", tmp_path)
+    steps = Steps(StepClock(), ignore, lambda: False)
+    config = make_config(overrides=["object=auto"])
+    scene, start = preprocess.preprocess(load_scene(capture), config, tmp_path, steps, reuse_object=True)
+    assert scene.masked and scene.ground is not None and len(start.positions) > 100
+    assert any("an earlier run found" in note for note in scene.notes)
+    assert (tmp_path / "object.json").is_file()
 
 
 def test_a_view_of_the_whole_scene_is_refused_and_its_camera_is_not(done: Path, capture: Path) -> None:

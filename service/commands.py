@@ -1,7 +1,8 @@
-"""The commands of `mgsr` that concern the service: serve, submit, fetch, keys."""
+"""The commands of `mgsr` that concern the service: serve, submit, rerun, fetch, keys."""
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -26,6 +27,7 @@ def add_commands(app: typer.Typer) -> None:
     """Add these commands to a program."""
     app.command()(serve)
     app.command()(submit)
+    app.command()(rerun)
     app.command()(fetch)
     app.add_typer(keys, name="keys")
 
@@ -72,6 +74,36 @@ def submit(
             raise SetupError(str(error)) from error
         folder = (out or Path("out") / scene.resolve().stem) if wait else None
         raise typer.Exit(submit_scene(server, os.environ.get("MGSR_KEY"), scene, options, folder))
+
+
+def rerun(
+    job: Annotated[str, typer.Argument(metavar="ID", help="The earlier job's id, as `mgsr submit` said it.")],
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Follow the new job, and fetch its results when it is done.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="OUT", help="Where the results go; out/ID by default.")
+    ] = None,
+    preset: Annotated[str | None, typer.Option(help="draft, standard or high; the earlier job's by default.")] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; in place of the earlier job's settings."),
+    ] = None,
+    server: ServerOption = DEFAULT_SERVER,
+) -> None:
+    """Run an earlier job again with other options, without sending its photographs again."""
+    with refusals():
+        from service.client.submit import rerun_job
+        from service.contract.options import parse_setting
+
+        try:
+            changes: dict[str, object] = {} if preset is None else {"preset": preset}
+            if settings:
+                changes["settings"] = dict(parse_setting(text) for text in settings)
+        except ValueError as error:
+            raise SetupError(str(error)) from error
+        folder = (out or Path("out") / job) if wait else None
+        raise typer.Exit(rerun_job(server, os.environ.get("MGSR_KEY"), job, json.dumps(changes), folder))
 
 
 def fetch(

@@ -1,4 +1,4 @@
-"""`mgsr submit` and `mgsr fetch`: zip a scene, send it, follow the job and fetch its results."""
+"""`mgsr submit`, `rerun` and `fetch`: zip a scene, send it, follow the job and fetch its results."""
 
 from __future__ import annotations
 
@@ -31,8 +31,19 @@ def submit_scene(server: str, key: str | None, scene: Path, options: JobOptions,
         with _archive(scene) as archive:
             client.check()
             job = _send(client, archive, options, console)
-        console.print(f"job {job['id']}: {server.rstrip('/')}/jobs/{job['id']}", soft_wrap=True)
-        return 0 if out is None else _wait(client, job["id"], out, console)
+        return _sent(job, client, server, out, console)
+
+    return _talk(server, key, talk)
+
+
+def rerun_job(server: str, key: str | None, job: str, options: str, out: Path | None) -> int:
+    """Run an earlier job again with some other options (JSON), and return the program's exit code.
+
+    With `out`, wait for the new job and put its results there. Raises SetupError where the service refuses it.
+    """
+
+    def talk(client: Client, console: Console) -> int:
+        return _sent(client.rerun(job, options), client, server, out, console)
 
     return _talk(server, key, talk)
 
@@ -83,6 +94,12 @@ def _send(client: Client, archive: Path, options: JobOptions, console: Console) 
     with Progress(TextColumn("sending"), BarColumn(), DownloadColumn(), console=console, transient=True) as bar:
         task = bar.add_task("sending", total=archive.stat().st_size)
         return client.submit(archive, options.model_dump_json(), lambda count: bar.advance(task, count))
+
+
+def _sent(job: Job, client: Client, server: str, out: Path | None, console: Console) -> int:
+    """Name a job that was sent, and with `out` wait for its results."""
+    console.print(f"job {job['id']}: {server.rstrip('/')}/jobs/{job['id']}", soft_wrap=True)
+    return 0 if out is None else _wait(client, job["id"], out, console)
 
 
 def _wait(client: Client, job: str, out: Path, console: Console) -> int:

@@ -9,8 +9,9 @@ import { h, setText } from "../parts/dom";
 import { moment } from "../parts/format";
 import { announce, errorBox } from "../parts/notice";
 import { pressButton } from "../parts/press";
-import { activity, statusWord } from "../parts/words";
+import { activity, nextPreset, statusWord } from "../parts/words";
 import { failureCard } from "./failure";
+import { FindingsSection } from "./findings";
 import { LivePanel } from "./live";
 import { ResultsPanel } from "./results";
 import type { View } from "./view";
@@ -28,6 +29,7 @@ class JobView {
   private readonly about = h("span", { class: "note" });
   private readonly actions = h("div", { class: "actions" });
   private readonly trouble = h("div");
+  private readonly findings = new FindingsSection();
   private readonly body = h("div", { class: "body" });
   private stop = new AbortController();
   private job: Job | null = null;
@@ -44,6 +46,7 @@ class JobView {
       h("nav", { "aria-label": "Back" }, h("a", { href: "#/" }, "← All jobs")),
       h("div", { class: "title" }, this.name, h("p", {}, this.status, " ", this.about), this.actions),
       this.trouble,
+      this.findings.element,
       this.body,
     );
     void this.follow();
@@ -81,6 +84,7 @@ class JobView {
     this.status.dataset["status"] = job.status;
     setText(this.about, `${job.options.preset ?? ""} · ${moment(job.created)}`);
     if (before?.status !== job.status || before.cancelling !== job.cancelling) this.offerActions(job);
+    this.findings.update(job.findings);
     if (job.finished === null) this.showLive(job);
     else if (before === null || before.finished !== job.finished) this.showEnd(job);
     if (before === null || activity(before) !== activity(job) || before.status !== job.status) this.tell(job);
@@ -118,6 +122,8 @@ class JobView {
     } else {
       const again = job.status === "cancelled" || (job.status === "failed" && job.error?.retryable === true);
       if (again) shown.push(this.button("Retry", "main", () => this.retry()));
+      const next = nextPreset(job.options.preset ?? "standard");
+      if (next !== null) shown.push(this.button(`Run again as ${next}`, again ? "" : "main", () => this.rerun(next)));
       shown.push(this.button("Delete", "", () => this.remove(job)));
     }
     const held = this.actions.contains(document.activeElement);
@@ -140,6 +146,10 @@ class JobView {
   private async retry(): Promise<void> {
     await this.service.retry(this.id);
     void this.follow();
+  }
+
+  private async rerun(preset: string): Promise<void> {
+    location.hash = `#/jobs/${await this.service.rerun(this.id, { preset })}`;
   }
 
   private async remove(job: Job): Promise<void> {

@@ -55,6 +55,9 @@ def submit(
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated.")
     ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only check the photographs and estimate what each preset takes; waits.")
+    ] = False,
     webhook: Annotated[
         str | None, typer.Option(metavar="URL", help="Told of the job's end; signed as Standard Webhooks.")
     ] = None,
@@ -69,10 +72,10 @@ def submit(
             chosen = dict(parse_setting(text) for text in settings or [])
             # The service checks the rest, by its own version's rules.
             fields = {"name": scene.resolve().name[:200], "preset": preset, "method": method, "seed": seed}
-            options = JobOptions.model_validate(fields | {"settings": chosen, "webhook": webhook})
+            options = JobOptions.model_validate(fields | {"settings": chosen, "webhook": webhook, "dry_run": dry_run})
         except ValueError as error:
             raise SetupError(str(error)) from error
-        folder = (out or Path("out") / scene.resolve().stem) if wait else None
+        folder = (out or Path("out") / scene.resolve().stem) if wait or dry_run else None
         raise typer.Exit(submit_scene(server, os.environ.get("MGSR_KEY"), scene, options, folder))
 
 

@@ -104,9 +104,10 @@ class Inspection:
         return tuple(name for finding in self.findings if finding.code in poses for name in finding.photographs)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the inspection as plain types."""
+        """Return the inspection as plain types, without its seconds: it is the same for the same photographs."""
         plain: dict[str, Any] = asdict(self)
-        return plain | {"seconds": round(self.seconds, 2)}
+        del plain["seconds"]
+        return plain
 
 
 def sorted_by_severity(findings: Sequence[Finding]) -> tuple[Finding, ...]:

@@ -87,7 +87,7 @@ def check_object_size(scene: Scene, views: Sequence[View]) -> list[Finding]:
             f"the object is {pixels:.0f} pixels wide, {share:.0%} of the shorter side of the image",
             round(pixels, 1),
             "px",
-            "come nearer, zoom in, or crop the photographs before the cameras are found",
+            "come nearer, zoom in, or use larger photographs",
         )
     ]
 

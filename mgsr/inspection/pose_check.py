@@ -73,7 +73,7 @@ def check_poses(names: Sequence[str], features: Sequence[int], judged: Judged) -
     agree, against = len(judged.of(Verdict.AGREES)), judged.of(Verdict.CONTRADICTS)
     if len(against) > max(agree, len(names) // 4):
         return [_all_wrong(len(against), agree, against)]
-    found = [*_clusters(names, groups, against), *_single(names, groups), *_inaccurate(judged.pairs)]
+    found = [*_clusters(names, groups, against), *_single(names, groups), *_inaccurate(judged.pairs, len(names))]
     if not found:
         found += _separate(names, groups, features)
     inside = sum(groups.group[pair.one] == groups.group[pair.other] for pair in judged.off_lines)
@@ -147,10 +147,11 @@ def _single(names: Sequence[str], groups: PoseGroups) -> list[Finding]:
     ]
 
 
-def _inaccurate(pairs: Sequence[Pair]) -> list[Finding]:
+def _inaccurate(pairs: Sequence[Pair], count: int) -> list[Finding]:
+    """Return a finding where the cameras of so many photographs are not wrong, but less exact than usual."""
     told = sum(pair.own.sum() >= FEWEST for pair in pairs)
     middle = usual_residual(pairs)
-    if told < 5 or middle < _INACCURATE:
+    if told < max(5, count / 2) or middle < _INACCURATE:
         return []
     return [
         Finding(

@@ -82,7 +82,7 @@ def _estimates(checked: CheckedScene, config: Config, device: Device, step: Step
         probed = probe(scene, _ball(config), config, device.torch)
     reference = {name: iteration_cost(name, facts, probed.splats) for name in probed.seconds}
     training = sum(probed.seconds.values()) / sum(reference.values())
-    before = {name: step.clock.steps[name] for name in ("load", "check") if name in step.clock.steps}
+    before: dict[str, float] = {name: step.clock.steps[name] for name in ("load", "check") if name in step.clock.steps}
     rest = training if device is Device.CPU else before.get("load", load_cost(facts)) / load_cost(facts)
     line = Line(config)
     estimates = [

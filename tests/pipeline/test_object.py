@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -77,18 +76,19 @@ def test_single_steps_take_the_masks_up(done: Path, capture: Path) -> None:
     assert len(mesh.faces) == pytest.approx(report["mesh"]["faces"], rel=2e-3)  # the files hold float32
 
 
-def test_another_run_takes_the_masks_over(
-    done: Path, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_run_takes_the_masks_over(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*arguments: object) -> None:
         raise AssertionError("the object is known")
 
     monkeypatch.setattr(preprocess, "find_object", never)
-    shutil.copytree(done / "masks", tmp_path / "masks")
-    shutil.copy(done / "object.json", tmp_path)
+    found = load_scene(capture)
+    (tmp_path / "masks").mkdir()
+    for view, mask in zip(found.train + found.test, table_scene()[1], strict=True):
+        Image.fromarray(255 * mask.astype(np.uint8)).save(tmp_path / "masks" / f"{view.name}.png")
+    (tmp_path / "object.json").write_text(json.dumps({"ground": [0.0, 0.0, 1.0, -TABLE]}))
     steps = Steps(StepClock(), ignore, lambda: False)
     config = make_config(overrides=["object=auto"])
-    scene, start = preprocess.preprocess(load_scene(capture), config, tmp_path, steps, reuse_object=True)
+    scene, start = preprocess.preprocess(found, config, tmp_path, steps, reuse_object=True)
     assert scene.masked and scene.ground is not None and len(start.positions) > 100
     assert any("an earlier run found" in note for note in scene.notes)
     assert (tmp_path / "object.json").is_file()

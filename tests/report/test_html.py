@@ -164,8 +164,8 @@ def test_the_check_of_the_photographs_is_told_and_drawn() -> None:
     reader = read(report_page(data, sample_pictures()))
     assert "No photograph shows a side (r_1). What to do: add photographs." in reader.text and "2.5 sr" in reader.text
     marks = [attributes["class"] for tag, attributes in reader.attributes if tag in ("circle", "path")]
-    assert [mark for mark in marks if mark] == ["camera", "camera bad", "camera", "missing"]
-    assert "script" not in [tag for tag, _ in reader.attributes if tag == "script"][1:]
+    ours = [mark for mark in marks if mark and mark.startswith(("camera", "missing"))]
+    assert ours == ["camera", "camera bad", "camera", "missing"] and reader.tags.count("script") == 1
 
 
 def test_a_report_without_a_check_says_nothing_of_it() -> None:

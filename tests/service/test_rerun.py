@@ -12,6 +12,7 @@ import httpx
 import pytest
 
 from service.client.api import Client
+from service.client.submit import fetch_job
 from service.contract.jobs import TAKEN_OVER, Jobs, attempt_path
 from service.contract.options import JobOptions
 from service.contract.store import Store
@@ -133,3 +134,24 @@ def test_the_client_runs_a_job_again(idle: Stack) -> None:
     with Client(idle.url, None) as client:
         job = client.rerun(first, JobOptions(seed=7).model_dump_json(include={"seed"}))
     assert job["options"]["seed"] == 7 and job["options"]["name"] == "vase" and job["rerun_of"] == first
+
+
+def test_a_dry_run_is_followed_by_a_run(idle: Stack) -> None:
+    files = {"archive": ("scene.zip", ARCHIVE, "application/zip")}
+    first = idle.http.post("/jobs", params={"dry_run": "true"}, files=files).json()
+    assert first["options"]["dry_run"] is True
+    assert rerun(idle, first["id"], {"preset": "draft"}).json()["options"]["dry_run"] is False
+    assert rerun(idle, first["id"], {"dry_run": True}).json()["options"]["dry_run"] is True
+
+
+def test_the_command_tells_findings_and_estimate(
+    idle: Stack, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    job = idle.submitted(ARCHIVE, OPTIONS | {"dry_run": True})
+    finding = {"code": "blurred", "severity": "warning", "text": "2 are blurred", "amount": 2, "unit": "times"}
+    puppet = Puppet(idle, job)
+    puppet.check([finding | {"cure": "take them again", "photographs": ["a", "b"], "places": []}])
+    puppet.succeed({"estimate.json": b"{}"}, {"estimate": [{"preset": "draft", "seconds": 40, "memory_mib": 2048}]})
+    assert fetch_job(idle.url, None, job, tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "warning: 2 are blurred (a, b); take them again" in said and "up to about 40 s and 2.0 GiB" in said

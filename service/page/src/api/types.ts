@@ -74,6 +74,13 @@ export interface Job extends Progress {
   options: JobOptions;
 }
 
+/** What a run at a preset is expected to take. */
+export interface Estimate {
+  preset: string;
+  seconds: number;
+  memory_mib: number;
+}
+
 /** The headline figures of report.json. */
 export interface Metrics {
   psnr_test?: number;
@@ -82,6 +89,8 @@ export interface Metrics {
   gaussians?: Record<string, number>;
   seconds?: number | Record<string, number>;
   peak_memory_mib?: number;
+  /** Of a dry run, which has no other figures. */
+  estimate?: Estimate[];
 }
 
 export type SettingValue = boolean | number | string | null;

@@ -10,6 +10,7 @@ import { moment } from "../parts/format";
 import { announce, errorBox } from "../parts/notice";
 import { pressButton } from "../parts/press";
 import { activity, nextPreset, statusWord } from "../parts/words";
+import { estimateSection } from "./estimate";
 import { failureCard } from "./failure";
 import { FindingsSection } from "./findings";
 import { LivePanel } from "./live";
@@ -103,7 +104,10 @@ class JobView {
   private showEnd(job: Job): void {
     this.live?.leave();
     this.live = null;
-    if (job.status === "succeeded") {
+    if (job.metrics.estimate !== undefined) {
+      const start = (preset: string) => this.tried(() => this.rerun(preset));
+      this.body.replaceChildren(estimateSection(job.metrics.estimate, start));
+    } else if (job.status === "succeeded") {
       this.results = new ResultsPanel(this.service, job);
       this.body.replaceChildren(this.results.element);
     } else {
@@ -122,7 +126,7 @@ class JobView {
     } else {
       const again = job.status === "cancelled" || (job.status === "failed" && job.error?.retryable === true);
       if (again) shown.push(this.button("Retry", "main", () => this.retry()));
-      const next = nextPreset(job.options.preset ?? "standard");
+      const next = job.metrics.estimate === undefined ? nextPreset(job.options.preset ?? "standard") : null;
       if (next !== null) shown.push(this.button(`Run again as ${next}`, again ? "" : "main", () => this.rerun(next)));
       shown.push(this.button("Delete", "", () => this.remove(job)));
     }
@@ -132,10 +136,12 @@ class JobView {
   }
 
   private button(text: string, className: string, act: () => Promise<void>): HTMLButtonElement {
-    return pressButton(text, className, async () => {
-      this.trouble.replaceChildren();
-      await act().catch((error: unknown) => this.trouble.replaceChildren(errorBox(error)));
-    });
+    return pressButton(text, className, () => this.tried(act));
+  }
+
+  private async tried(act: () => Promise<void>): Promise<void> {
+    this.trouble.replaceChildren();
+    await act().catch((error: unknown) => this.trouble.replaceChildren(errorBox(error)));
   }
 
   private async cancel(): Promise<void> {

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from mgsr.gaussians.gaussians import GaussianModel
     from mgsr.gaussians.surfels import SurfelModel
     from mgsr.geometry.mesh import Mesh
+    from mgsr.inspection.findings import Inspection
+    from mgsr.inspection.inspect import inspect_scene
     from mgsr.mesh.surface import ReconstructedMesh
     from mgsr.pipeline.novel_view import Rendering, render
     from mgsr.pipeline.progress import Event
@@ -51,6 +53,7 @@ __all__ = [
     "Event",
     "GaussianModel",
     "GpuError",
+    "Inspection",
     "LostCardError",
     "Mesh",
     "MeshError",
@@ -66,6 +69,7 @@ __all__ = [
     "TrainingError",
     "View",
     "__version__",
+    "inspect_scene",
     "load_result",
     "load_scene",
     "make_config",
@@ -88,6 +92,8 @@ _MODULES = {
     "SurfelModel": "mgsr.gaussians.surfels",
     "View": "mgsr.data.scene",
     "GaussianModel": "mgsr.gaussians.gaussians",
+    "Inspection": "mgsr.inspection.findings",
+    "inspect_scene": "mgsr.inspection.inspect",
     "load_result": "mgsr.pipeline.reconstruction",
     "load_scene": "mgsr.data.readers",
     "make_config": "mgsr.config",

@@ -15,7 +15,7 @@ from typing import Any
 from redis import RedisError
 
 from service.contract.errors import StoreError
-from service.contract.jobs import Jobs, attempt_path
+from service.contract.jobs import TAKEN_OVER, Jobs, attempt_path
 from service.contract.live import Live
 from service.contract.records import Failure, JobRecord, JobStatus, Outcome, now
 from service.contract.settings import Settings
@@ -23,7 +23,7 @@ from worker.carrier import CAMERA_STATE, CAMERAS, Carrier
 from worker.job import JobResult, JobSpec
 from worker.lease import LeaseKeeper
 from worker.process import Exit, JobProcess
-from worker.publish import headline, upload_results
+from worker.publish import findings, headline, upload_results
 from worker.scratch import scratch_folder
 from worker.watch import Reason, Watch
 
@@ -155,6 +155,7 @@ class Attempt:
         store, job = self._context.retrying_jobs.store, self._record.id
         (self._scratch / "out").mkdir()
         store.download(self._record.archive, self._scratch / "archive")
+        self._fetch_taken_over()
         held = {entry.key for entry in store.entries(f"jobs/{job}/attempts")}
         for marker, folder in (("checkpoint", "checkpoint"), (CAMERA_STATE, CAMERAS)):
             attempts = range(self._attempt - 1, 0, -1)
@@ -169,6 +170,14 @@ class Attempt:
                 place = Path(f"{target}{key.removeprefix(kept)}")
                 place.parent.mkdir(parents=True, exist_ok=True)
                 self._context.retrying_jobs.store.download(key, place)
+
+    def _fetch_taken_over(self) -> None:
+        """Fetch into the results what a rerun takes over from those of the earlier job."""
+        store, folder = self._context.retrying_jobs.store, attempt_path(self._record.id, TAKEN_OVER, "")
+        for name in store.names(folder):
+            path = self._scratch / "out" / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            store.download(f"{folder}{name}", path)
 
     def _run_process(self) -> Outcome | None:
         """Run the job process to its end; return the outcome unless its results decide it."""
@@ -271,6 +280,7 @@ class Attempt:
                     finished=now(),
                     artifacts=artifacts,
                     metrics=metrics,
+                    findings=findings(out),
                 )
             )
 

@@ -111,7 +111,8 @@ def _reconstruct(spec: JobSpec) -> None:
         always = [f"watch.checkpoint_seconds={spec.checkpoint_seconds}", "data.confined=on"]
         config = make_config(options.preset, options.method, options.seed, [*watch, *options.overrides(), *always])
 
-        from mgsr.pipeline.result_paths import LOG
+        from mgsr.pipeline.estimate import write_estimate
+        from mgsr.pipeline.result_paths import LOG, OBJECT
         from mgsr.pipeline.run import run_scene
         from mgsr.pipeline.run_display import RunDisplay
         from worker.reporting import Reporter
@@ -120,6 +121,9 @@ def _reconstruct(spec: JobSpec) -> None:
             report = Reporter(spec.previews, partial(_tell, spec), partial(_log, spec, display))
             # By its name alone, so that the report and the log do not speak of the worker's folders.
             os.chdir(spec.scene.parent)
+            if options.dry_run:
+                write_estimate(Path(spec.scene.name), spec.out, config, options.device, report, stop)
+                return
             run_scene(
                 Path(spec.scene.name),
                 spec.out,
@@ -129,6 +133,7 @@ def _reconstruct(spec: JobSpec) -> None:
                 report,
                 stop,
                 started_at=started_at,
+                reuse_object=(spec.out / OBJECT).is_file(),
             )
 
 

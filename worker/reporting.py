@@ -29,6 +29,7 @@ AFTER_SHARE = 0.1
 BEFORE = {
     "unpack": 0.0,
     "load": 0.01,
+    "check": 0.015,
     "outlines": 0.02,
     "start": 0.03,
     "exposures": 0.04,
@@ -73,6 +74,10 @@ class Reporter:
             self._step, self._begun = event.step, time.monotonic()
         self._searched |= event.step == "cameras"
         begin, end = self._bounds(event.step)
+        if event.inspection is not None:
+            found = event.inspection.to_json()["findings"]
+            self._emit("step", text=event.text, step=event.step, findings=found, **self._place(begin, None))
+            return
         if not event.done:
             self._emit("step", text=event.text, step=event.step, **self._place(begin, None))
             return

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
+from typing import Annotated
 
 import typer
 
@@ -57,6 +59,53 @@ def info(scene: SceneArgument, settings: SetOption = None) -> None:
         facts = facts_without_cameras(found) if found.kind is None else scene_facts(load_capture(found, config.data))
         for name, value in facts.items():
             print(f"{name:16} {', '.join(map(str, value)) if isinstance(value, list) else value}")
+
+
+@app.command()
+def check(
+    scene: SceneArgument,
+    as_json: Annotated[bool, typer.Option("--json", help="Write everything as JSON.")] = False,
+    settings: SetOption = None,
+) -> None:
+    """Inspect SCENE before training: what is wrong, in which photographs, and what to do. Exit code 1 on errors."""
+    with refusals():
+        config = make_config(overrides=settings or [])
+        from mgsr.data.readers import load_scene
+        from mgsr.inspection.findings import Severity
+        from mgsr.inspection.inspect import inspect_scene
+        from mgsr.pipeline.run_metadata import scene_line
+        from mgsr.pipeline.scene_check import summary
+
+        found = load_scene(scene, config.data)
+        inspection = inspect_scene(found)
+        if as_json:
+            print(json.dumps(inspection.to_json(), indent=2))
+        else:
+            print(scene_line(found))
+            for finding in inspection.findings:
+                print(finding.line)
+            print(summary(inspection))
+    raise typer.Exit(1 if inspection.worst is Severity.ERROR else 0)
+
+
+@app.command()
+def estimate(
+    scene: SceneArgument,
+    method: MethodOption = "mgsr",
+    device: DeviceOption = "auto",
+    as_json: Annotated[bool, typer.Option("--json", help="Write everything as JSON.")] = False,
+    settings: SetOption = None,
+) -> None:
+    """Say how long a run on SCENE will take on this machine, and how much memory, at each preset."""
+    with refusals():
+        config = make_config(method=method, overrides=[*(settings or []), "check=off"])
+        from mgsr.pipeline.estimate import estimate_line, estimate_presets
+
+        estimates = estimate_presets(scene, config, device)
+        if as_json:
+            print(json.dumps([asdict(each) for each in estimates], indent=2))
+        else:
+            print("\n".join(map(estimate_line, estimates)))
 
 
 @app.command()

@@ -4,7 +4,7 @@
 METHODS, then the caller's ``key=value`` overrides. ABLATIONS has the paper's rows as such overrides.
 """
 
-from mgsr.config.capture import Blurred, DataConfig, Exposure, Masks, Object, object_box
+from mgsr.config.capture import DataConfig, Exposure, Flawed, Masks, Object, object_box
 from mgsr.config.making import ablation_overrides, make_config
 from mgsr.config.overrides import RENAMED, apply_overrides, field_types, override_texts
 from mgsr.config.paper import (
@@ -45,7 +45,6 @@ __all__ = [
     "RENAMED",
     "AlphaLoss",
     "Background",
-    "Blurred",
     "Branches",
     "Config",
     "DataConfig",
@@ -54,6 +53,7 @@ __all__ = [
     "EnvironmentMapConfig",
     "Exposure",
     "Extractor",
+    "Flawed",
     "GaussianConfig",
     "GaussianDensifyConfig",
     "Growth",

@@ -212,7 +212,7 @@ def _load(train: list[Photo], test: list[Photo], config: DataConfig, progress: L
     )
     if len(trained) < 2:
         raise lost[0]
-    sharp, blurred = without_blurred(trained, tested, config.blurred)
+    sharp, blurred = without_blurred(trained, tested, config.flawed)
     settled = settle_masks(*sharp, config.masks)
     unread = (f"{len(lost)} of {len(loaded)} photographs left out: {lost[0]}",) if lost else ()
     return replace(settled, notes=(*unread, *settled.notes, *blurred))

@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from mgsr.config import Background, DataConfig
 from mgsr.data.backdrop import BLACK, WHITE, Backdrop, Color, plain_backdrop
 from mgsr.data.camera import Camera
+
+Item = TypeVar("Item")
 
 PHOTOGRAPHS = 64  # views that suffice to examine a surface; more add little
 
@@ -164,7 +167,7 @@ class Scene:
         return Backdrop(BLACK if kind is Background.BLACK else WHITE)
 
 
-def some_of(views: Sequence[View], most: int = PHOTOGRAPHS) -> list[View]:
-    """Return at most so many of the views, spread over all."""
-    chosen = np.unique(np.linspace(0, len(views) - 1, most).round().astype(int))
-    return [views[index] for index in chosen]
+def some_of(items: Sequence[Item], most: int = PHOTOGRAPHS) -> list[Item]:
+    """Return at most so many of the items, such as views, spread over all."""
+    chosen = np.unique(np.linspace(0, len(items) - 1, most).round().astype(int))
+    return [items[index] for index in chosen]

@@ -23,10 +23,17 @@ from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import origin_notes
 from mgsr.pipeline import result_files
-from mgsr.pipeline.object_files import clear_object, ground_of, require_place_for_masks, write_object
+from mgsr.pipeline.object_files import (
+    clear_object,
+    ground_of,
+    require_place_for_masks,
+    with_found_object,
+    write_object,
+)
 from mgsr.pipeline.progress import Event
-from mgsr.pipeline.result_paths import CAMERAS
+from mgsr.pipeline.result_paths import CAMERAS, OBJECT
 from mgsr.pipeline.run_metadata import scene_line
+from mgsr.pipeline.scene_check import CheckedScene, check_scene, without_flawed
 from mgsr.pipeline.steps import Steps
 from mgsr.pipeline.time_budget import most_points, searches_object
 from mgsr.segmentation.object_masks import FoundObject, NoObject, find_object
@@ -36,39 +43,43 @@ from mgsr.training.background import train_background
 from mgsr.training.exposure import find_exposures
 from mgsr.training.outlines import learned_outlines
 
-LATER = ("exposure", "object", "object_box")  # settings of DataConfig that take effect after the reading
+LATER = ("exposure", "object", "object_box", "check")  # settings of DataConfig that take effect after the reading
 
 
-def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps, resume: bool = False) -> Scene:
-    """Return the scene, loaded if a path is given; report it, and remove an earlier run's reports from `out`.
+def take_scene(
+    given: Path | Scene, out: Path | None, config: Config, step: Steps, resume: bool = False
+) -> CheckedScene:
+    """Return the scene, loaded if a path is given, and inspected; remove an earlier run's reports from `out`, if given.
 
     Where the photographs have no cameras, these are searched for first, and left in `out`. resume: use cameras that are
     there already, and go on with a search that was interrupted.
+
+    Raises SceneError.
     """
     if isinstance(given, Scene):
         scene = given
-        result_files.clear_reports(out)
     else:
         with step("load", f"reading {given}"):
             found = find_capture(given, config.data)
         if found.kind is None:
             found = _with_cameras(found, out, config, step, resume)
-        elif not found.folder.root.resolve().is_relative_to((out / CAMERAS).resolve()):
+        elif out is not None and not found.folder.root.resolve().is_relative_to((out / CAMERAS).resolve()):
             CameraFolder(out / CAMERAS).clear()  # an earlier run's, of other photographs
         with step.clock.step("load"):
             scene = load_capture(found, config.data, partial(_tell_loading, step))
-            result_files.clear_reports(out)
+    if out is not None:
+        result_files.clear_reports(out)
     for text in (scene_line(scene), *scene.notes, *origin_notes(scene.user_from_scene, config.output.scale)):
         step.progress(Event("load", text))
-    return scene
+    return check_scene(scene, config, step)
 
 
-def _with_cameras(found: FoundScene, out: Path, config: Config, step: Steps, resume: bool) -> FoundScene:
+def _with_cameras(found: FoundScene, out: Path | None, config: Config, step: Steps, resume: bool) -> FoundScene:
     """Search for the cameras of photographs, as a step of the run."""
     text = "finding the cameras"
     with step("cameras", f"{found.name} has no cameras: {text}"):
         search = CameraSearch(
-            folder=out / CAMERAS,
+            folder=None if out is None else out / CAMERAS,
             resume=resume,
             seed=config.seed,
             say=lambda line: step.progress(Event("cameras", line)),
@@ -82,12 +93,12 @@ def _tell_loading(step: Steps, done: int, total: int) -> None:
 
 
 def load_again(path: Path, out: Path, config: Config) -> Scene:
-    """Load the scene of the results in `out`, with the cameras that the run found where it has none.
+    """Load the scene of the results in `out` as the run did, with the cameras that it found where there are none.
 
     Raises SceneError, also where the cameras are missing.
     """
     search = CameraSearch(folder=out / CAMERAS, known_only=True, seed=config.seed)
-    return load_scene(path, config.data, search=search)
+    return without_flawed(load_scene(path, config.data, search=search), config.data)
 
 
 def as_read(scene: Scene, config: Config) -> Config:
@@ -112,14 +123,25 @@ def as_read(scene: Scene, config: Config) -> Config:
 
 
 def preprocess(
-    scene: Scene, config: Config, out: Path, step: Steps, budget: TimeBudget | None = None
+    scene: Scene,
+    config: Config,
+    out: Path,
+    step: Steps,
+    budget: TimeBudget | None = None,
+    reuse_object: bool = False,
 ) -> tuple[Scene, StartingPoints]:
     """Preprocess a scene: even its exposures, find its object and its light, and choose the starting points.
 
     Returns the scene and its starting points. The scene has its photographs at a common exposure, masks where an object
     is requested and found, and a flash's irradiance where there is one. The findings are written to `out`.
+
+    reuse_object: take an object's masks from `out`, if they are there. Raises MgsrError where these do not fit the
+    photographs.
     """
     searched = searches_object(scene, config)
+    kept = searched and reuse_object and (out / OBJECT).is_file()
+    if kept:
+        scene, searched = _with_kept_object(out, scene, step), False
     if searched:
         require_place_for_masks(out)
     masks = _learn_masks(scene, config, step)
@@ -129,7 +151,8 @@ def preprocess(
         return starting_points(with_masks(of, masks), count, config.seed, progress, config.train.background)
 
     result_files.clear_findings(out)
-    clear_object(out)
+    if not kept:
+        clear_object(out)
     with step("start", "choosing starting points"):
         start = points(scene, "start", "choosing starting points")
     if config.data.exposure is not Exposure.KEEP:
@@ -137,6 +160,14 @@ def preprocess(
     if searched:
         scene, start = _object_alone(scene, start, config, out, step, points)
     return _as_lit(scene, start.lighting, config, out, step), start
+
+
+def _with_kept_object(out: Path, scene: Scene, step: Steps) -> Scene:
+    """Return the scene with the masks of the object that an earlier run left in `out`. Raises MgsrError."""
+    scene = with_found_object(out, scene)
+    note = "the object's masks are those that an earlier run found"
+    step.progress(Event("object", note))
+    return replace(scene, notes=(*scene.notes, note))
 
 
 def _at_one_exposure(

@@ -21,6 +21,7 @@ RENDERS = "renders/test"
 REPORT = "report.json"
 REPORT_HTML = "report.html"
 LOG = "log.txt"
+ESTIMATE = "estimate.json"
 CHECKPOINT = "checkpoint"
 CAMERAS = "cameras"
 

@@ -13,6 +13,7 @@ from mgsr.errors import ConfigError
 from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.geometry.mesh import Mesh
+from mgsr.inspection.findings import Inspection
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.mesh.texture import require_unfolding
 from mgsr.metrics.truth import TrueSurface
@@ -44,12 +45,14 @@ def run_scene(
     progress: EventCallback = ignore,
     should_stop: StopCheck = never,
     started_at: float | None = None,
+    reuse_object: bool = False,
 ) -> Path:
     """Reconstruct a scene into the folder `out`; return the path of report.json, which is written last.
 
     given: the scene, or the path that `load_scene` takes. resume: go on from the checkpoint in `out`, if there is one.
     should_stop: called between iterations and between steps. started_at: the value of time.perf_counter() from which a
-    time budget counts (config.time_budget); None is now.
+    time budget counts (config.time_budget); None is now. reuse_object: where an object is looked for, take the
+    masks that a run with the same settings of `data` left in `out`, if there are any.
 
     Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, GpuError, and Cancelled once should_stop
     says so (the checkpoint then holds the training's state).
@@ -62,17 +65,18 @@ def run_scene(
     since = StepClock(started_at)
     step = Steps(StepClock(), progress, should_stop)
     budget = make_budget(config, lambda: since.total, chosen, out / CHECKPOINT if resume else None)
-    scene = take_scene(given, out, config, step, resume)
+    checked = take_scene(given, out, config, step, resume)
+    scene = checked.scene
     if budget is not None:
         if not resume:
             learn_search(scene, budget, step.clock)
         scene = fitted_scene(scene, budget, config, step.clock)
-    scene, start = preprocess(scene, config, out, step, budget)
+    scene, start = preprocess(scene, config, out, step, budget, reuse_object)
     if budget is not None:
         with step("plan", "timing an iteration of each stage"):
             config = planned_config(scene, start, budget, config, chosen, step.clock)
         progress(Event("plan", f"time budget of {plan_line(budget)}"))
-    run = _Run(scene, start, config, out, step, chosen, budget)
+    run = _Run(scene, start, config, out, step, chosen, budget, checked.inspection)
     training = _Training(run, resume)
     trained = training.run(before_surface=True)
     if budget is not None:
@@ -100,7 +104,7 @@ def train_only(
         raise ConfigError("time_budget: training alone keeps to none; use `mgsr run`, or a preset")
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
-    scene = take_scene(scene_path, out, config, step, resume)
+    scene = take_scene(scene_path, out, config, step, resume).scene
     scene, start = preprocess(scene, config, out, step)
     return _Training(_Run(scene, start, config, out, step, chosen), resume).run(before_surface=True)
 
@@ -116,6 +120,7 @@ class _Run:
     step: Steps
     device: Device
     budget: TimeBudget | None = None
+    inspection: Inspection | None = None
 
     def model(self, trained: TrainResult) -> TrainedModel:
         """Return the trained model on the device, with the background of a found object."""
@@ -168,6 +173,8 @@ def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
         pictures = report_pictures(rendered, psnr, surface.drawn, scene, maps, behind, agreement)
     budget = None if run.budget is None else budget_report(run.budget, clock.steps)
     report = run_report(scene, run.start, run.config, run.device, trained, surface.mesh, scores, clock, budget)
+    if run.inspection is not None:
+        report.other["inspection"] = run.inspection.to_json()
     result_files.write_reports(run.out, report, pictures)
     run.step.progress(Event("report", result_line(report)))
     return run.out / REPORT

@@ -17,8 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mgsr.inspection.findings import Code, Finding, Inspection, Severity
 from mgsr.pipeline.progress import Event
 from mgsr.training.progress import Progress
+from service.views import FindingView
 from tests.service.stack import ROOT
 from worker import reporting
 from worker.attempt import folder_name, joined
@@ -57,6 +59,15 @@ def test_a_search_for_cameras_takes_its_share_of_the_progress(tmp_path: Path) ->
     assert told[1]["step_progress"] == 0.5 and told[1]["step_eta_seconds"] is not None
     alone = report(tmp_path, [training(500)])[0]["progress"]
     assert places[3] == pytest.approx(CAMERAS + (1 - CAMERAS) * alone, abs=0.01)
+
+
+def test_findings_of_the_check_are_passed_on(tmp_path: Path) -> None:
+    finding = Finding(Code.BLURRED, Severity.WARNING, "text", 2.0, "times", "cure", ("a", "b"))
+    event = Event("check", "1 warning", inspection=Inspection((finding,), (), 0.5))
+    (told,) = report(tmp_path, [event])
+    assert told["step"] == "check" and BEFORE["load"] < told["progress"] < BEFORE["start"]
+    assert told["findings"][0]["photographs"] == ("a", "b") and json.dumps(told)
+    FindingView.model_validate(told["findings"][0])
 
 
 def test_training_as_a_person_sees_it(tmp_path: Path) -> None:

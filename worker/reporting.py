@@ -36,7 +36,7 @@ BEFORE = {
     "train": 0.05,
 }
 # Shares of the time after training that have passed when a step begins.
-AFTER = {"export": 0.0, "mesh": 0.0, "evaluate": 0.6, "render": 0.92, "report": 0.96}
+AFTER = {"export": 0.0, "mesh": 0.0, "evaluate": 0.5, "model": 0.7, "render": 0.92, "report": 0.96}
 
 
 class Reporter:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from mgsr.cli.options import (
     DeviceOption,
+    FacesOption,
     MethodOption,
     ObjOption,
     OutOption,
@@ -34,6 +35,7 @@ def run(
     device: DeviceOption = "auto",
     seed: SeedOption = 0,
     resume: ResumeOption = False,
+    faces: FacesOption = None,
     texture: TextureOption = None,
     obj: ObjOption = False,
     up: UpOption = None,
@@ -44,7 +46,7 @@ def run(
     """Reconstruct SCENE into OUT: mesh, splats, renders of the test views and a report."""
     started_at = time.perf_counter()
     with refusals(resumes=True):
-        wishes = [*(settings or []), *output_overrides(texture, obj, up, scale)]
+        wishes = [*(settings or []), *output_overrides(faces, texture, obj, up, scale)]
         wishes += [] if time_budget is None else [f"time_budget={time_budget}"]
         report = _run(scene, out, make_config(preset, method, seed, wishes), device, resume, started_at)
     print(f"mesh   {out / 'mesh.ply'}")

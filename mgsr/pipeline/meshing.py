@@ -1,16 +1,17 @@
-"""The surface of the trained branches, in the user's frame."""
+"""The surface of the trained branches and its textured model, in the user's frame."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 
-from mgsr.config import Config
+from mgsr.config import Config, MeshColor
+from mgsr.data.camera import pixel_size
 from mgsr.data.scene import Scene
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.extract import extract_mesh
-from mgsr.mesh.surface import ReconstructedMesh
+from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.mesh.texture import texture_mesh
 from mgsr.pipeline.rendering import outlined_scene, scene_silhouettes, surface_views
 from mgsr.pipeline.steps import always
@@ -32,10 +33,20 @@ def make_mesh(
     outlined = outlined_scene(model, scene, config)
     silhouettes = scene_silhouettes(outlined)
     mesh = extract_mesh(views, config.mesh, silhouettes, outlined.train, go_on=go_on, start=start, ground=scene.ground)
-    to_user = scene.user_from_scene.to_user
-    textured = None
-    if config.output.texture is not None:
-        textured = texture_mesh(mesh, views, config.output.texture, config.output.texture_faces, config.mesh)
-        textured = textured.in_frame(to_user(textured.vertices))
-    mesh = mesh.in_frame(to_user(mesh.vertices))
-    return replace(mesh, textured=textured).with_normals(mesh.normals)
+    return mesh.in_frame(scene.user_from_scene.to_user(mesh.vertices))
+
+
+def make_textured(model: TrainedModel, scene: Scene, config: Config, mesh: ReconstructedMesh) -> TexturedMesh:
+    """Make the textured model of the surface; both are in the user's frame.
+
+    Its colours come from renders of the training views, as large as the photographs, and a texel is as large as a pixel
+    of the photographs.
+    """
+    frame = scene.user_from_scene
+    full = mesh.in_frame(frame.to_scene(mesh.vertices))
+    at_photographs = replace(config, mesh=replace(config.mesh, view_scale=1.0, extra_views=0))
+    pixel = pixel_size([view.camera for view in scene.train], full.vertices.mean(axis=0))
+    shaded = config.mesh.color is MeshColor.TRANSMITTED and all(view.irradiance is None for view in scene.train)
+    views = surface_views(model, scene, at_photographs)
+    textured = texture_mesh(full, views, pixel, config.output, config.mesh, shaded)
+    return textured.in_frame(frame.to_user(textured.vertices))

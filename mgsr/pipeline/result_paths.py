@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 MESH = "mesh.ply"
-MESH_GLB = "mesh.glb"
 MESH_OBJ = "mesh.obj"
-MESH_TEXTURED = "mesh_textured.glb"
+MODEL_GLB = "model.glb"
 SURFELS = "splats_2d.ply"
 GAUSSIANS = "splats_3d.ply"
 ENVIRONMENT_MAP = "mirrored_light.npz"
@@ -36,19 +35,14 @@ class ResultPaths:
         return self.folder / MESH
 
     @property
-    def mesh_glb(self) -> Path:
-        """mesh.glb, y up."""
-        return self.folder / MESH_GLB
-
-    @property
     def mesh_obj(self) -> Path:
         """mesh.obj, if it was asked for."""
         return self.folder / MESH_OBJ
 
     @property
-    def mesh_textured(self) -> Path:
-        """mesh_textured.glb, if it was asked for."""
-        return self.folder / MESH_TEXTURED
+    def model_glb(self) -> Path:
+        """model.glb, the textured model, y up."""
+        return self.folder / MODEL_GLB
 
     @property
     def surfels(self) -> Path:

@@ -31,6 +31,7 @@ STEPS = (
     "export",
     "mesh",
     "evaluate",
+    "model",
     "render",
     "report",
 )

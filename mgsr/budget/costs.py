@@ -18,7 +18,7 @@ USUAL_PIXELS = 256 * 256
 GROWN = 0.15  # Gaussians added by error-driven growth, per pixel of a view
 STEREO = 0.4  # a view
 ROUNDS, FLASH_ROUNDS = 3, 10  # of refining the surface, that long
-MODEL = 3.0  # unwrapping and baking
+MODEL = 2.0  # unwrapping and baking
 SEARCHED = 1.9  # a view, for the object's masks
 LEARNED = 12.0  # masks that are learned from small photographs
 

@@ -24,6 +24,7 @@ from mgsr.cli.options import (
     SetOption,
     TextureOption,
     UpOption,
+    UsdzOption,
     output_overrides,
     refusals,
 )
@@ -89,13 +90,14 @@ def mesh(
     faces: FacesOption = None,
     texture: TextureOption = None,
     obj: ObjOption = False,
+    usdz: UsdzOption = False,
     up: UpOption = None,
     scale: ScaleOption = None,
     settings: SetOption = None,
 ) -> None:
     """Extract mesh.ply and model.glb from the splats in OUT, with the preset's settings of the surface."""
     with refusals():
-        overrides = [*(settings or []), *output_overrides(faces, texture, obj, up, scale)]
+        overrides = [*(settings or []), *output_overrides(faces, texture, obj, usdz, up, scale)]
         config = make_config(preset, overrides=overrides)
         from mgsr.pipeline.single_steps import mesh_again
 

@@ -45,6 +45,7 @@ TextureOption = Annotated[
     typer.Option(metavar="TEXELS", help="Make model.glb's maps so many texels wide, such as 2048."),
 ]
 ObjOption = Annotated[bool, typer.Option("--obj", help="Also write mesh.obj.")]
+UsdzOption = Annotated[bool, typer.Option("--usdz", help="Also write model.usdz (pip install 'mgsr[usd]').")]
 UpOption = Annotated[
     Up | None, typer.Option(help="Which axis of the capture's frame points up; .glb files are turned to y.")
 ]
@@ -63,10 +64,11 @@ AsSceneOption = Annotated[
 
 
 def output_overrides(
-    faces: int | None, texture: int | None, obj: bool, up: Up | None, scale: float | None
+    faces: int | None, texture: int | None, obj: bool, usdz: bool, up: Up | None, scale: float | None
 ) -> list[str]:
     """Return what these options mean as settings; none for what was not given."""
-    given = {"faces": faces, "texture": texture, "obj": "on" if obj else None, "up": up, "scale": scale}
+    given: dict[str, object] = {"faces": faces, "texture": texture, "obj": "on" if obj else None}
+    given |= {"usdz": "on" if usdz else None, "up": up, "scale": scale}
     return [f"output.{name}={value}" for name, value in given.items() if value is not None]
 
 

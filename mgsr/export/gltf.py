@@ -124,12 +124,12 @@ def _textured(material: PbrMaterial, body: _Body) -> dict[str, Any]:
 def _node_matrix(middle: np.ndarray, up: Up) -> list[float]:
     """Return the node's matrix as 16 numbers in column-major order, as in glTF; middle [3]."""
     matrix = np.eye(4)
-    matrix[:3, :3] = _turn_upright(up)
+    matrix[:3, :3] = turn_upright(up)
     matrix[:3, 3] = matrix[:3, :3] @ middle
     return [float(value) for value in matrix.T.ravel()]
 
 
-def _turn_upright(up: Up) -> np.ndarray:
+def turn_upright(up: Up) -> np.ndarray:
     """Return the shortest rotation [3,3] that takes `up` to y; the half turn about x where `up` points down.
 
     Source: Rodrigues' formula for the axis up x y, without the angle.

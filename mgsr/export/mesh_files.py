@@ -72,7 +72,7 @@ def write_glb(path: Path, mesh: Mesh, colors: np.ndarray, up: Up = UpAxis.Y) -> 
     check_mesh(mesh, colors=colors)
     linear = np.ones((len(mesh.vertices), 4), "<f4")
     linear[:, :3] = srgb_to_linear(np.clip(colors, 0, 1))
-    path.write_bytes(glb(mesh, {"NORMAL": _unit(mesh.normals), "COLOR_0": linear}, up))
+    path.write_bytes(glb(mesh, {"NORMAL": unit_normals(mesh.normals), "COLOR_0": linear}, up))
 
 
 def write_textured_glb(
@@ -89,7 +89,7 @@ def write_textured_glb(
             expected = f"[V={len(mesh.vertices)}, {columns}]"
             raise MeshError(f"mesh export: {name}: expected {expected}, got {list(array.shape)}")
     attributes = {
-        "NORMAL": _unit(mesh.normals),
+        "NORMAL": unit_normals(mesh.normals),
         "TANGENT": tangents.astype("<f4"),
         "TEXCOORD_0": uvs.astype("<f4"),
     }
@@ -104,7 +104,7 @@ def png_bytes(picture: np.ndarray) -> bytes:
     return data.tobytes()
 
 
-def _unit(normals: np.ndarray) -> np.ndarray:
+def unit_normals(normals: np.ndarray) -> np.ndarray:
     """Return unit normals, little-endian float32; (0, 0, 1) where folded faces leave none."""
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(lengths > 1e-6, normals / np.maximum(lengths, 1e-6), [[0.0, 0.0, 1.0]]).astype("<f4")

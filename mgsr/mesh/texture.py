@@ -36,8 +36,9 @@ def texture_mesh(
     """Reduce the full surface to `output.faces`, unwrap it, and bake its maps.
 
     full, views: in one frame. pixel: the size of the photographs' pixels on the surface, in its unit, which a texel
-    gets unless `output.texture` gives the number of texels. The base colour blends the views' colours, as in
-    `seen_colors`. shaded: whether these colours contain the shading of static light, which is then divided out.
+    gets unless `output.texture` gives the number of texels. A metal's base colour is its tint; others blend the views'
+    colours, as in `seen_colors`. shaded: whether these colours contain the shading of static light, which is then
+    divided out.
     """
     unwrapped = unwrap(_reduced(full, output.faces), pixel, output.texture)
     texels = find_texels(unwrapped, full)
@@ -45,7 +46,9 @@ def texture_mesh(
     coarse = decimate(coarser(Mesh(full.vertices, full.faces), SKY_EDGE * pixel), SKY_FACES)
     seen = trace_hemispheres(coarse, pixel)
     at = coarse.prolongation(texels.points)
-    if shaded:
+    if material.tint is not None:
+        colors = np.broadcast_to(linear_to_srgb(material.tint), colors.shape)
+    elif shaded:
         around = srgb_to_linear(full.prolongation(coarse.vertices) @ full.colors)
         light = at @ static_irradiance(coarse, around, seen)
         colors = linear_to_srgb(np.clip(srgb_to_linear(colors) / light, 0, 1))

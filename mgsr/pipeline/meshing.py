@@ -9,12 +9,18 @@ from mgsr.config import Config, MeshColor
 from mgsr.data.camera import pixel_size
 from mgsr.data.scene import Scene
 from mgsr.gaussians.trained_model import TrainedModel
+from mgsr.geometry.decimate import coarser
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.mesh.texture import texture_mesh
 from mgsr.pipeline.rendering import outlined_scene, scene_silhouettes, surface_views
 from mgsr.pipeline.steps import always
+from mgsr.shading.gloss import fit_gloss, mirrorings
+from mgsr.shading.light_estimate import LightKind
+from mgsr.shading.material import MATTE, Material
+
+GLOSS_EDGE = 3.0  # pixels; edge length of the mesh whose vertices the fit of the gloss observes
 
 
 def make_mesh(
@@ -46,7 +52,16 @@ def make_textured(model: TrainedModel, scene: Scene, config: Config, mesh: Recon
     full = mesh.in_frame(frame.to_scene(mesh.vertices))
     at_photographs = replace(config, mesh=replace(config.mesh, view_scale=1.0, extra_views=0))
     pixel = pixel_size([view.camera for view in scene.train], full.vertices.mean(axis=0))
-    shaded = config.mesh.color is MeshColor.TRANSMITTED and all(view.irradiance is None for view in scene.train)
+    static = all(view.irradiance is None for view in scene.train)
     views = surface_views(model, scene, at_photographs)
-    textured = texture_mesh(full, views, pixel, config.output, config.mesh, shaded)
+    shaded = static and config.mesh.color is MeshColor.TRANSMITTED
+    glossy = static and (model.environment_map is not None or mesh.light is LightKind.ENVIRONMENT)
+    material = _fit_material(full, scene, pixel) if glossy else MATTE
+    textured = texture_mesh(full, views, pixel, config.output, config.mesh, shaded, material)
     return textured.in_frame(frame.to_user(textured.vertices))
+
+
+def _fit_material(full: Mesh, scene: Scene, pixel: float) -> Material:
+    """Return the material of a glossy surface in the scene's frame; pixel: a photograph's pixel size on it."""
+    observed = coarser(Mesh(full.vertices, full.faces), GLOSS_EDGE * pixel)
+    return fit_gloss(mirrorings(observed, scene.train, pixel))

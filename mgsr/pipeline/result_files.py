@@ -23,8 +23,10 @@ from mgsr.export.gltf import Up as UpDirection
 from mgsr.export.mesh_files import png_bytes, write_ply, write_textured_glb
 from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number, read_origin
+from mgsr.export.radiance_map import write_radiance_map
 from mgsr.export.renders import RenderedView, straight_color, write_view
 from mgsr.export.splats import load_splats, write_splats
+from mgsr.export.usdz import write_usdz
 from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.reflector import Reflector
@@ -34,6 +36,7 @@ from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.pipeline.atomic_write import atomic_write
 from mgsr.pipeline.rendering import ViewImages
 from mgsr.pipeline.result_paths import (
+    ENVIRONMENT,
     ENVIRONMENT_MAP,
     EXPOSURES,
     FLASH,
@@ -41,6 +44,7 @@ from mgsr.pipeline.result_paths import (
     MESH,
     MESH_OBJ,
     MODEL_GLB,
+    MODEL_USDZ,
     RENDERS,
     REPORT,
     REPORT_HTML,
@@ -196,13 +200,24 @@ def write_mesh(out: Path, mesh: ReconstructedMesh, output: OutputConfig) -> None
 
 
 def write_textured(out: Path, textured: TexturedMesh, scene: Scene, output: OutputConfig) -> None:
-    """Write model.glb, y up; the mesh is in the user's frame, lengths are in the output's unit."""
+    """Write model.glb, y up, with model.usdz if it is asked for, and environment.exr if the material has a light.
+
+    The mesh is in the user's frame; lengths are in the output's unit. An earlier run's files are removed.
+    """
     scaled = textured.in_frame(textured.vertices * output.scale)
     base_color, normal, occlusion = map(png_bytes, (textured.base_color, textured.normal_map, textured.occlusion))
-    constants = textured.material
+    constants, up = textured.material, _up(scene, output)
     material = PbrMaterial(base_color, normal, occlusion, constants.roughness, constants.metallic)
     with atomic_write(out / MODEL_GLB) as path:
-        write_textured_glb(path, scaled, scaled.uvs, scaled.tangents, material, _up(scene, output))
+        write_textured_glb(path, scaled, scaled.uvs, scaled.tangents, material, up)
+    for name in (MODEL_USDZ, ENVIRONMENT):
+        (out / name).unlink(missing_ok=True)
+    if output.usdz:
+        with atomic_write(out / MODEL_USDZ) as path:
+            write_usdz(path, scaled, scaled.uvs, material, up)
+    if constants.light is not None:
+        with atomic_write(out / ENVIRONMENT) as path:
+            write_radiance_map(path, constants.light, up)
 
 
 def _up(scene: Scene, output: OutputConfig) -> UpDirection:

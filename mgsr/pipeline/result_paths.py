@@ -8,6 +8,8 @@ from pathlib import Path
 MESH = "mesh.ply"
 MESH_OBJ = "mesh.obj"
 MODEL_GLB = "model.glb"
+MODEL_USDZ = "model.usdz"
+ENVIRONMENT = "environment.exr"
 SURFELS = "splats_2d.ply"
 GAUSSIANS = "splats_3d.ply"
 ENVIRONMENT_MAP = "mirrored_light.npz"
@@ -43,6 +45,16 @@ class ResultPaths:
     def model_glb(self) -> Path:
         """model.glb, the textured model, y up."""
         return self.folder / MODEL_GLB
+
+    @property
+    def model_usdz(self) -> Path:
+        """model.usdz, if it was asked for."""
+        return self.folder / MODEL_USDZ
+
+    @property
+    def environment(self) -> Path:
+        """environment.exr, the light that a glossy surface mirrors, in the frame of model.glb."""
+        return self.folder / ENVIRONMENT
 
     @property
     def surfels(self) -> Path:

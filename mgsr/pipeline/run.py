@@ -11,6 +11,7 @@ from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import about_origin, origin_of_frame
+from mgsr.export.usdz import require_usd
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.surface import ReconstructedMesh
@@ -52,6 +53,8 @@ def run_scene(
     Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, GpuError, and Cancelled once should_stop
     says so (the checkpoint then holds the training's state).
     """
+    if config.output.usdz:
+        require_usd()
     if isinstance(given, Scene):
         config = as_read(given, config)
     chosen = pick_device(device)
@@ -153,6 +156,7 @@ def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
     with run.step("model", "texturing the model"):
         textured = make_textured(run.model(trained), scene, run.config, surface.mesh)
         result_files.write_textured(run.out, textured, scene, run.config.output)
+        scores = scores | {"material": textured.material.to_json()}
     with run.step("render", f"rendering and measuring {len(scene.test)} test views"):
         rendered = list(render_views(run.model(trained), scene.test, run.config))
         result_files.write_renders(run.out, rendered, scene, run.config.output)

@@ -8,6 +8,7 @@ from typing import Any
 from mgsr.config import Config
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
+from mgsr.export.usdz import require_usd
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.device import pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
@@ -34,6 +35,8 @@ def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> R
 
     Raises ConfigError, SceneError, GpuError, MeshError, and MgsrError where there are no splats.
     """
+    if config.output.usdz:
+        require_usd()
     chosen = pick_device(device)
     scene = with_found_object(out, at_known_exposures(out, load_scene(path, config.data)))
     # The run compared its surface with the starting surface, which the same seed reproduces.

@@ -27,6 +27,8 @@ BINARY = "application/octet-stream"
 SINGLE = {
     "mesh.ply": BINARY,
     "model.glb": "model/gltf-binary",
+    "model.usdz": "model/vnd.usdz+zip",
+    "environment.exr": "image/x-exr",
     "splats.ply": BINARY,
     "splats_2d.ply": BINARY,
     "splats_3d.ply": BINARY,

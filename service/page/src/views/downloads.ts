@@ -10,6 +10,8 @@ import { explain } from "../parts/words";
 
 const ABOUT: Record<string, string> = {
   "model.glb": "Textured model for viewers, games and modelling programs, y up",
+  "model.usdz": "The same for devices by Apple",
+  "environment.exr": "The light around the object, to render it in",
   "mesh.obj": "Mesh for older programs",
   "mesh.ply": "Mesh in the frame of your cameras",
   "splats_3d.ply": "3D Gaussians, for splat viewers",

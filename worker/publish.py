@@ -17,6 +17,8 @@ _KEPT_BACK = {"checkpoint"}
 _TYPES = {
     ".ply": "application/octet-stream",
     ".glb": "model/gltf-binary",
+    ".usdz": "model/vnd.usdz+zip",
+    ".exr": "image/x-exr",
     ".obj": "model/obj",
     ".txt": "text/plain; charset=utf-8",
 }

@@ -40,7 +40,7 @@ BEFORE = {
 # after it (measured: preset standard, 56 photographs of 480 x 360 pixels).
 CAMERAS = 0.3
 # Shares of the time after training that have passed when a step begins.
-AFTER = {"export": 0.0, "mesh": 0.0, "evaluate": 0.6, "render": 0.92, "report": 0.96}
+AFTER = {"export": 0.0, "mesh": 0.0, "evaluate": 0.5, "model": 0.7, "render": 0.92, "report": 0.96}
 
 
 class Reporter:

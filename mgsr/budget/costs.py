@@ -19,6 +19,7 @@ USUAL_PIXELS = 256 * 256
 GROWN = 0.15  # Gaussians added by error-driven growth, per pixel of a view
 STEREO = 0.4  # a view
 ROUNDS, FLASH_ROUNDS = 3, 10  # of refining the surface, that long
+MODEL = 2.0  # unwrapping and baking
 SEARCHED = 1.9  # a view, for the object's masks
 LEARNED = 12.0  # masks that are learned from small photographs
 FEATURE_PIXELS = 2400 * 1800  # of larger photographs, reduced copies are searched for features
@@ -127,5 +128,5 @@ def judging_cost(facts: Facts) -> float:
 
 
 def closing_cost(facts: Facts) -> float:
-    """Return the seconds that the test renders, their scores and the report take."""
-    return 0.8 + 0.2 * facts.tests * facts.size
+    """Return the seconds that the textured model, the test renders, their scores and the report take."""
+    return MODEL + 0.8 + (0.05 * facts.views + 0.2 * facts.tests) * facts.size

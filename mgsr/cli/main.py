@@ -14,6 +14,7 @@ from mgsr.cli.demo import demo
 from mgsr.cli.options import (
     AsSceneOption,
     DeviceOption,
+    FacesOption,
     MethodOption,
     ObjOption,
     OutOption,
@@ -25,6 +26,7 @@ from mgsr.cli.options import (
     SetOption,
     TextureOption,
     UpOption,
+    UsdzOption,
     output_overrides,
     refusals,
 )
@@ -136,15 +138,17 @@ def mesh(
     out: OutOption,
     preset: PresetOption = "standard",
     device: DeviceOption = "auto",
+    faces: FacesOption = None,
     texture: TextureOption = None,
     obj: ObjOption = False,
+    usdz: UsdzOption = False,
     up: UpOption = None,
     scale: ScaleOption = None,
     settings: SetOption = None,
 ) -> None:
-    """Extract mesh.ply and mesh.glb from the splats in OUT, with the preset's settings of the surface."""
+    """Extract mesh.ply and model.glb from the splats in OUT, with the preset's settings of the surface."""
     with refusals():
-        overrides = [*(settings or []), *output_overrides(texture, obj, up, scale)]
+        overrides = [*(settings or []), *output_overrides(faces, texture, obj, usdz, up, scale)]
         config = make_config(preset, overrides=overrides)
         from mgsr.pipeline.single_steps import mesh_again
 

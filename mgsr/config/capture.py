@@ -30,8 +30,8 @@ class Flawed(StrEnum):
 
 
 class Object(StrEnum):
-    """What is reconstructed of a capture without masks. auto: the object that stands in the middle, if there is a single
-    one, by masks that are found for it; else all that is seen. off: all that is seen."""
+    """What is reconstructed of a capture without masks. auto: the object that stands in the middle, if there is a
+    single one, by masks that are found for it; else all that is seen. off: all that is seen."""
 
     AUTO = "auto"
     OFF = "off"

@@ -13,9 +13,9 @@ from mgsr.training.progress import Progress
 class Event:
     """One event of a run.
 
-    step: load, cameras, check, start, plan, train, export, mesh, evaluate, render or report; text: one line for the
-    user; training: the training's progress, in events of the training; done: the completed share 0..1 of a long step,
-    in events during that step; inspection: what the step check found, in its last event.
+    step: load, cameras, check, start, plan, train, export, mesh, evaluate, model, render or report; text: one line for
+    the user; training: the training's progress, in events of the training; done: the completed share 0..1 of a long
+    step, in events during that step; inspection: what the step check found, in its last event.
     """
 
     step: str

@@ -11,16 +11,16 @@ from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import about_origin, origin_of_frame
+from mgsr.export.usdz import require_usd
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.geometry.mesh import Mesh
 from mgsr.inspection.findings import Inspection
 from mgsr.mesh.surface import ReconstructedMesh
-from mgsr.mesh.texture import require_unfolding
 from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline import result_files
 from mgsr.pipeline.device import Device, pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
-from mgsr.pipeline.meshing import make_mesh
+from mgsr.pipeline.meshing import make_mesh, make_textured
 from mgsr.pipeline.object_files import mask_agreement
 from mgsr.pipeline.preprocess import as_read, preprocess, take_scene
 from mgsr.pipeline.progress import Event, EventCallback, ignore
@@ -57,8 +57,8 @@ def run_scene(
     Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, GpuError, and Cancelled once should_stop
     says so (the checkpoint then holds the training's state).
     """
-    if config.output.texture is not None:
-        require_unfolding()
+    if config.output.usdz:
+        require_usd()
     if isinstance(given, Scene):
         config = as_read(given, config)
     chosen = pick_device(device)
@@ -143,7 +143,7 @@ def _make_surface(run: _Run, trained: TrainResult) -> _Surface:
         begun_on = run.start.surface if run.scene.masked else None
         go_on = always if run.budget is None else run.budget.go_on
         mesh = make_mesh(run.model(trained), run.scene, run.config, go_on, begun_on)
-        result_files.write_mesh(run.out, mesh, run.scene, run.config.output)
+        result_files.write_mesh(run.out, mesh, run.config.output)
     with run.step("evaluate", "measuring the surface"):
         truth = find_truth(run.scene)
         return _Surface(mesh, surface_scores(mesh, truth, run.scene), _draw(mesh, truth, run.scene))
@@ -160,8 +160,12 @@ def _set_reflector(run: _Run, training: _Training, trained: TrainResult, mesh: R
 
 
 def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
-    """Render and measure the test views, and write the report; return its path."""
+    """Texture the model, render and measure the test views, and write the report; return its path."""
     scene, scores, clock = run.scene, surface.scores, run.step.clock
+    with run.step("model", "texturing the model"):
+        textured = make_textured(run.model(trained), scene, run.config, surface.mesh)
+        result_files.write_textured(run.out, textured, scene, run.config.output)
+        scores = scores | {"material": textured.material.to_json()}
     with run.step("render", f"rendering and measuring {len(scene.test)} test views"):
         rendered = list(render_views(run.model(trained), scene.test, run.config))
         result_files.write_renders(run.out, rendered, scene, run.config.output)

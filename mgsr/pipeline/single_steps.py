@@ -7,10 +7,11 @@ from typing import Any
 
 from mgsr.config import Config
 from mgsr.data.scene import Scene
+from mgsr.export.usdz import require_usd
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.device import pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
-from mgsr.pipeline.meshing import make_mesh
+from mgsr.pipeline.meshing import make_mesh, make_textured
 from mgsr.pipeline.object_files import with_found_object
 from mgsr.pipeline.preprocess import load_again
 from mgsr.pipeline.rendering import render_views, rendered_scene
@@ -21,6 +22,7 @@ from mgsr.pipeline.result_files import (
     read_models,
     write_mesh,
     write_renders,
+    write_textured,
 )
 from mgsr.pipeline.result_paths import MESH
 from mgsr.pipeline.scene_folder import require_new_folder, write_scene_folder
@@ -33,12 +35,16 @@ def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> R
 
     Raises ConfigError, SceneError, GpuError, MeshError, and MgsrError where there are no splats.
     """
+    if config.output.usdz:
+        require_usd()
     chosen = pick_device(device)
     scene = with_found_object(out, at_known_exposures(out, load_again(path, out, config)))
     # The run compared its surface with the starting surface, which the same seed reproduces.
     begun_on = starting_points(scene, 1, config.seed).surface if scene.masked else None
-    mesh = make_mesh(read_models(out, scene.user_from_scene).to(chosen.torch), scene, config, start=begun_on)
-    write_mesh(out, mesh, scene, config.output)
+    model = read_models(out, scene.user_from_scene).to(chosen.torch)
+    mesh = make_mesh(model, scene, config, start=begun_on)
+    write_mesh(out, mesh, config.output)
+    write_textured(out, make_textured(model, as_lit(out, scene), config, mesh), scene, config.output)
     return mesh
 
 

@@ -35,6 +35,7 @@ STEPS = (
     "export",
     "mesh",
     "evaluate",
+    "model",
     "render",
     "report",
 )

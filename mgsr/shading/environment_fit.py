@@ -51,7 +51,7 @@ class FittedEnvironmentMap:
     def mirrored(self, normals: np.ndarray, view_directions: np.ndarray) -> np.ndarray:
         """Return the light [P] that points with unit normals [P,3] mirror to unit directions view_directions [P,3]."""
         directions = 2 * (view_directions * normals).sum(axis=1, keepdims=True) * normals - view_directions
-        return np.asarray(_sampling(directions) @ self.light.ravel())
+        return np.asarray(sample_map(directions) @ self.light.ravel())
 
 
 def look_up(table: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -77,7 +77,7 @@ def fit_environment_map(observations: Observations, normals: np.ndarray, seed: i
     )
     owners = np.nonzero(seen)[0]
     own, eye = normals[points][owners], view_directions[seen]
-    rows = _sampling(2 * (eye * own).sum(1, keepdims=True) * own - eye)
+    rows = sample_map(2 * (eye * own).sum(1, keepdims=True) * own - eye)
     equations = _Equations(rows, brightness[seen].astype(float), owners)
     given = weights[seen].astype(float)
     light, current = np.zeros(rows.shape[1]), given
@@ -106,7 +106,7 @@ class _Equations:
 
     def solve(self, weights: np.ndarray, start: np.ndarray) -> np.ndarray:
         """Return the weighted least-squares map [HEIGHT*WIDTH]; weights [Q]; start [HEIGHT*WIDTH]: the first guess."""
-        smooth = SMOOTHNESS * weights.sum() / (HEIGHT * WIDTH) * _steps_squared()
+        smooth = SMOOTHNESS * weights.sum() / (HEIGHT * WIDTH) * steps_squared()
         turned = self.rows.T.tocsr()
 
         def apply(light: np.ndarray) -> np.ndarray:
@@ -142,30 +142,40 @@ def _well_read(observations: Observations, seed: int) -> tuple[np.ndarray, np.nd
     return points, observations.weights[points] > 0
 
 
-def _places(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the map's row and column, [...] each, for unit directions [...,3]; cell centres are integers."""
+def _places(directions: np.ndarray, height: int = HEIGHT) -> tuple[np.ndarray, np.ndarray]:
+    """Return the row and column, [...] each, in a map of height x 2 height cells for unit directions [...,3].
+
+    Cell centres are integers.
+    """
     polar = np.arccos(np.clip(directions[..., 2], -1, 1)) / np.pi
     azimuth = np.arctan2(directions[..., 1], directions[..., 0]) / (2 * np.pi) % 1
-    return polar * HEIGHT - 0.5, azimuth * WIDTH - 0.5
+    return polar * height - 0.5, azimuth * 2 * height - 0.5
 
 
-def _sampling(directions: np.ndarray) -> sparse.csr_matrix:
-    """Return the matrix [Q,HEIGHT*WIDTH] that samples the map bilinearly in unit directions [Q,3]."""
-    rows, columns = _places(directions)
+def sample_map(directions: np.ndarray, height: int = HEIGHT) -> sparse.csr_matrix:
+    """Return the matrix [Q,2*height^2] that samples a map of height x 2 height cells bilinearly.
+
+    directions [Q,3]: unit. Rows of the map are polar angles from z, columns are azimuths from x.
+    """
+    width = 2 * height
+    rows, columns = _places(directions, height)
     top, first = np.floor(rows).astype(int), np.floor(columns).astype(int)
     down, along = rows - top, columns - first
     cells, shares = [], []
     for row, row_share in ((top, 1 - down), (top + 1, down)):
         for column, column_share in ((first, 1 - along), (first + 1, along)):
-            cells.append(np.clip(row, 0, HEIGHT - 1) * WIDTH + column % WIDTH)
+            cells.append(np.clip(row, 0, height - 1) * width + column % width)
             shares.append(row_share * column_share)
     places = (np.tile(np.arange(len(rows)), 4), np.concatenate(cells))
-    return sparse.coo_matrix((np.concatenate(shares), places), (len(rows), HEIGHT * WIDTH)).tocsr()
+    return sparse.coo_matrix((np.concatenate(shares), places), (len(rows), height * width)).tocsr()
 
 
-def _steps_squared() -> sparse.csr_matrix:
-    """Return the quadratic form of neighbouring cells' differences; the map wraps around in azimuth."""
-    cells = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
+def steps_squared(height: int = HEIGHT) -> sparse.csr_matrix:
+    """Return the quadratic form of the differences of neighbouring cells in a map of height x 2 height cells.
+
+    The map wraps around in azimuth.
+    """
+    cells = np.arange(2 * height**2).reshape(height, 2 * height)
     pairs = np.concatenate(
         [
             np.stack([cells.ravel(), np.roll(cells, -1, axis=1).ravel()], 1),

@@ -164,7 +164,7 @@ def test_curves_of_two_attempts_are_one() -> None:
     assert joined(earlier, []) == earlier and joined([], earlier) == earlier
 
 
-@pytest.mark.parametrize(("name", "kind"), [("mesh.obj", "model/obj"), ("mesh_textured.glb", "model/gltf-binary")])
+@pytest.mark.parametrize(("name", "kind"), [("mesh.obj", "model/obj"), ("model.glb", "model/gltf-binary")])
 def test_results_have_the_type_of_their_form(name: str, kind: str) -> None:
     """Check media types, also where the machine's own list says otherwise, as Debian's does of .obj."""
     assert media_type(name) == kind

@@ -96,7 +96,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
     scores = image_scores(rendered, scene, behind)
     yield "scores", repr(scores)
     drawn = draw_surface(mesh, None, scene)
-    pictures = report_pictures(rendered, [0.0] * len(rendered), drawn, scene, models.environment_map, behind)
+    pictures = report_pictures(rendered, [0.0] * len(rendered), drawn, scene, models.environment_map, behind, {})
     yield "pictures", [view.photo for view in pictures.views]
     folder.mkdir()
     write_scene(folder, scene)

@@ -2,7 +2,8 @@
 
 python requirements.py service|worker-cpu|worker-gpu [PYPROJECT]
 
-The service's image leaves out the library's dependencies (torch and the like), which it never imports.
+The service's image leaves out the library's dependencies (torch and the like) and the extra `poses`, which it never
+imports.
 """
 
 from __future__ import annotations
@@ -23,7 +24,10 @@ def requirements(image: str, project: dict[str, Any]) -> list[str]:
     extras, with_library = IMAGES[image]
     base: list[str] = project["dependencies"]
     chosen = [line for line in base if with_library or line.startswith(SHARED)]
-    return chosen + [line for extra in extras for line in _of_extra(extra, project["optional-dependencies"])]
+    known: dict[str, list[str]] = project["optional-dependencies"]
+    if not with_library:
+        known = known | {"poses": []}
+    return chosen + [line for extra in extras for line in _of_extra(extra, known)]
 
 
 def _of_extra(extra: str, all_extras: dict[str, list[str]]) -> list[str]:

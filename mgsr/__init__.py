@@ -1,4 +1,4 @@
-"""MGSR: posed photographs in, surface mesh and clean renders out.
+"""MGSR: photographs in, surface mesh and clean renders out.
 
 Importing this needs nothing else. Each name below is imported from its module when it is first used; docs/python.md
 explains them.
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from mgsr.gaussians.gaussians import GaussianModel
     from mgsr.gaussians.surfels import SurfelModel
     from mgsr.geometry.mesh import Mesh
+    from mgsr.inspection.findings import Inspection
+    from mgsr.inspection.inspect import inspect_scene
     from mgsr.mesh.surface import ReconstructedMesh
     from mgsr.pipeline.novel_view import render
     from mgsr.pipeline.progress import Event
@@ -52,6 +54,7 @@ __all__ = [
     "Event",
     "GaussianModel",
     "GpuError",
+    "Inspection",
     "LostCardError",
     "Mesh",
     "MeshError",
@@ -67,6 +70,7 @@ __all__ = [
     "TrainingError",
     "View",
     "__version__",
+    "inspect_scene",
     "load_result",
     "load_scene",
     "make_config",
@@ -89,6 +93,8 @@ _MODULES = {
     "SurfelModel": "mgsr.gaussians.surfels",
     "View": "mgsr.data.scene",
     "GaussianModel": "mgsr.gaussians.gaussians",
+    "Inspection": "mgsr.inspection.findings",
+    "inspect_scene": "mgsr.inspection.inspect",
     "load_result": "mgsr.pipeline.reconstruction",
     "load_scene": "mgsr.data.readers",
     "make_config": "mgsr.config",

@@ -46,7 +46,7 @@ def create_app(settings: Settings) -> FastAPI:
     app = FastAPI(
         title="MGSR",
         version=LIBRARY["version"],
-        description="Posed photographs in, surface mesh and clean renders out.",
+        description="Photographs in, surface mesh and clean renders out.",
         lifespan=_lifespan,
     )
     app.state.parts = parts

@@ -1,7 +1,8 @@
-"""The commands of `mgsr` that concern the service: serve, submit, fetch, keys."""
+"""The commands of `mgsr` that concern the service: serve, submit, rerun, fetch, keys."""
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -26,6 +27,7 @@ def add_commands(app: typer.Typer) -> None:
     """Add these commands to a program."""
     app.command()(serve)
     app.command()(submit)
+    app.command()(rerun)
     app.command()(fetch)
     app.add_typer(keys, name="keys")
 
@@ -40,7 +42,7 @@ def serve(host: HostOption = "127.0.0.1", port: PortOption = 8000) -> None:
 
 
 def submit(
-    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="A folder or archive of posed photographs.")],
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="A folder or archive of photographs, or a video.")],
     wait: Annotated[
         bool, typer.Option("--wait", help="Follow the job, and fetch its results when it is done.")
     ] = False,
@@ -53,6 +55,9 @@ def submit(
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated.")
     ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only check the photographs and estimate what each preset takes; waits.")
+    ] = False,
     webhook: Annotated[
         str | None, typer.Option(metavar="URL", help="Told of the job's end; signed as Standard Webhooks.")
     ] = None,
@@ -67,11 +72,41 @@ def submit(
             chosen = dict(parse_setting(text) for text in settings or [])
             # The service checks the rest, by its own version's rules.
             fields = {"name": scene.resolve().name[:200], "preset": preset, "method": method, "seed": seed}
-            options = JobOptions.model_validate(fields | {"settings": chosen, "webhook": webhook})
+            options = JobOptions.model_validate(fields | {"settings": chosen, "webhook": webhook, "dry_run": dry_run})
         except ValueError as error:
             raise SetupError(str(error)) from error
-        folder = (out or Path("out") / scene.resolve().stem) if wait else None
+        folder = (out or Path("out") / scene.resolve().stem) if wait or dry_run else None
         raise typer.Exit(submit_scene(server, os.environ.get("MGSR_KEY"), scene, options, folder))
+
+
+def rerun(
+    job: Annotated[str, typer.Argument(metavar="ID", help="The earlier job's id, as `mgsr submit` said it.")],
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Follow the new job, and fetch its results when it is done.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="OUT", help="Where the results go; out/ID by default.")
+    ] = None,
+    preset: Annotated[str | None, typer.Option(help="draft, standard or high; the earlier job's by default.")] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; in place of the earlier job's settings."),
+    ] = None,
+    server: ServerOption = DEFAULT_SERVER,
+) -> None:
+    """Run an earlier job again with other options, without sending its photographs again."""
+    with refusals():
+        from service.client.submit import rerun_job
+        from service.contract.options import parse_setting
+
+        try:
+            changes: dict[str, object] = {} if preset is None else {"preset": preset}
+            if settings:
+                changes["settings"] = dict(parse_setting(text) for text in settings)
+        except ValueError as error:
+            raise SetupError(str(error)) from error
+        folder = (out or Path("out") / job) if wait else None
+        raise typer.Exit(rerun_job(server, os.environ.get("MGSR_KEY"), job, json.dumps(changes), folder))
 
 
 def fetch(

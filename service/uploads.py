@@ -1,4 +1,4 @@
-"""Receive an archive into the store as it arrives, holding at most a few megabytes of it."""
+"""Receive an archive or a video into the store as it arrives, holding at most a few megabytes of it."""
 
 from __future__ import annotations
 
@@ -31,11 +31,17 @@ RAW_TYPES = {
     "application/zstd",
     "application/x-zstd",
     "application/octet-stream",
+    "video/mp4",
+    "video/quicktime",
+    "video/webm",
+    "video/x-matroska",
 }
 # What is taken, in words.
-ARCHIVES = "zip, tar, tar.gz or tar.zst"
+ARCHIVES = "zip, tar, tar.gz, tar.zst, or a video as mp4, mov, webm or mkv"
 _HEAD = 512  # bytes, enough to tell what kind of archive it is
-_MAGIC = (b"PK", b"\x1f\x8b", b"\x28\xb5\x2f\xfd")  # zip, gzip, zstd; a tar has its mark later
+# Of zip, gzip, zstd, and Matroska with WebM. A tar has its mark later, and mp4 and mov have theirs after a length.
+_MAGIC = (b"PK", b"\x1f\x8b", b"\x28\xb5\x2f\xfd", b"\x1a\x45\xdf\xa3")
+_MOVIES = (b"ftyp", b"moov", b"wide", b"mdat")
 
 
 @dataclass(frozen=True)
@@ -100,12 +106,12 @@ class _Sink:
             await writer.write(chunk)
 
     def check_kind(self) -> None:
-        """Raise Problem for what is no archive, by its first bytes; the worker looks closer."""
+        """Raise Problem for what is neither an archive nor a video, by its first bytes; the worker looks closer."""
         head = self._head
         if not head:
-            raise Problem(422, "archive_missing", f"the archive is empty; expected a {ARCHIVES} file")
-        if not (head.startswith(_MAGIC) or head[257:262] == b"ustar"):
-            raise Problem(422, "archive_unsupported", f"expected a {ARCHIVES} file; this begins like none of them")
+            raise Problem(422, "archive_missing", f"the archive is empty; expected {ARCHIVES}")
+        if not (head.startswith(_MAGIC) or head[257:262] == b"ustar" or head[4:8] in _MOVIES):
+            raise Problem(422, "archive_unsupported", f"expected {ARCHIVES}; this begins like none of them")
 
 
 def too_large(limit: int) -> Problem:
@@ -150,7 +156,7 @@ async def _multipart(chunks: AsyncIterator[bytes], boundary: bytes | None, sink:
     if not fields.ended:
         raise Problem(400, "multipart_malformed", "the multipart body ends before its last boundary")
     if not fields.archive_seen:
-        raise Problem(422, "archive_missing", f"expected a multipart field `archive` with a {ARCHIVES} file")
+        raise Problem(422, "archive_missing", f"expected a multipart field `archive` with {ARCHIVES}")
     return None if fields.options is None else _text(fields.options)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.config import JsonDict
@@ -36,10 +36,12 @@ _EXAMPLE: JsonDict = {
     "curve": [{"seconds": 20.0, "stage": "warmup_surfels", "iteration": 250, "loss": 0.12, "psnr": 24.1}],
     "queue_position": None,
     "attempt": 1,
+    "rerun_of": None,
     "round": 0,
     "memory_bytes": 1500000000,
     "error": None,
     "metrics": {},
+    "findings": None,
     "options": {"preset": "standard"},
 }
 
@@ -52,6 +54,21 @@ class CurvePoint(BaseModel):
     iteration: int
     loss: float | None
     psnr: float | None
+
+
+class FindingView(BaseModel):
+    """One thing that the check of the photographs found."""
+
+    code: str = Field(description="The kind; stable, for programs.", examples=["doubled_structure"])
+    severity: Literal["error", "warning", "note"]
+    text: str
+    amount: float = Field(description="How bad it is, in `unit`.")
+    unit: str = Field(description="px, sr, deg, share, times, pairs or photographs.")
+    cure: str = Field(description="What to do.")
+    photographs: list[str] = Field([], description="Those concerned; empty where it is all of them.")
+    places: list[tuple[float, float, float]] = Field(
+        [], description="Camera positions from which photographs are missing, in the capture's frame."
+    )
 
 
 class JobView(BaseModel):
@@ -84,10 +101,14 @@ class JobView(BaseModel):
     curve: list[CurvePoint] = []
     queue_position: int | None = Field(None, description="From 1; of a queued job.")
     attempt: int | None = None
+    rerun_of: str | None = Field(None, description="The job whose archive this one took over.")
     round: int = Field(0, description="How often it was retried by request.")
     memory_bytes: int | None = Field(None, description="The most that the job process had so far.")
     error: Failure | None = None
     metrics: dict[str, Any] = Field({}, description="The headline figures of report.json, once it succeeded.")
+    findings: list[FindingView] | None = Field(
+        None, description="What the check of the photographs found, the worst first; null before it, and in lists."
+    )
     options: JobOptions
 
 
@@ -102,6 +123,7 @@ class JobList(BaseModel):
 _PROGRESS = (
     *("step", "stage", "iteration", "total", "progress", "eta_seconds", "step_progress", "step_eta_seconds"),
     *("training_seconds", "losses", "psnr", "splats", "previews", "curve", "attempt", "memory_bytes"),
+    "findings",
 )
 
 
@@ -116,6 +138,8 @@ def job_view(state: JobState, running: bool, progress: dict[str, Any], queue_pos
         fields |= {"status": outcome.status, "finished": outcome.finished, "error": outcome.error}
         fields |= {"eta_seconds": None, "step_progress": None, "step_eta_seconds": None}
         fields |= {"metrics": outcome.metrics, "attempt": outcome.attempt or fields.get("attempt")}
+        if outcome.findings is not None:
+            fields["findings"] = outcome.findings
         if outcome.status is JobStatus.SUCCEEDED:
             fields |= {"progress": 1.0, "step": "done", "message": None}
     else:
@@ -126,6 +150,7 @@ def job_view(state: JobState, running: bool, progress: dict[str, Any], queue_pos
         name=record.options.name,
         created=record.created,
         cancelling=state.cancelling,
+        rerun_of=record.rerun_of,
         round=state.round,
         options=record.options,
         **fields,

@@ -18,7 +18,7 @@ LAYERS = (
     ("checks", "config", "errors", "open3d_library", "parallel"),
     ("native",),
     ("data",),
-    ("geometry",),
+    ("geometry", "inspection"),
     ("shading", "stereo"),
     ("start", "ops"),
     ("gaussians",),

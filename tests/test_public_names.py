@@ -19,8 +19,17 @@ from tests.cli.spheres import held_out_camera, write_spheres
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = {
-    *("load_scene", "reconstruct", "load_result", "render", "make_config", "__version__"),
-    *("Reconstruction", "Rendering", "Mesh", "ReconstructedMesh"),
+    *(
+        "load_scene",
+        "inspect_scene",
+        "Inspection",
+        "reconstruct",
+        "load_result",
+        "render",
+        "make_config",
+        "__version__",
+    ),
+    *("Reconstruction", "Rendering", "Mesh", "ReconstructedMesh", "Inspection"),
     *("SurfelModel", "GaussianModel", "EnvironmentMap", "Event"),
     *("Scene", "View", "Camera", "Config", "DataConfig"),
     *("MgsrError", "SceneError", "MissingPhotoError", "ArchiveError", "ConfigError", "TensorError", "TrainingError"),

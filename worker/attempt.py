@@ -15,15 +15,15 @@ from typing import Any
 from redis import RedisError
 
 from service.contract.errors import StoreError
-from service.contract.jobs import Jobs, attempt_path
+from service.contract.jobs import TAKEN_OVER, Jobs, attempt_path
 from service.contract.live import Live
 from service.contract.records import Failure, JobRecord, JobStatus, Outcome, now
 from service.contract.settings import Settings
-from worker.carrier import Carrier
+from worker.carrier import CAMERA_STATE, CAMERAS, Carrier
 from worker.job import JobResult, JobSpec
 from worker.lease import LeaseKeeper
 from worker.process import Exit, JobProcess
-from worker.publish import headline, upload_results
+from worker.publish import findings, headline, upload_results
 from worker.scratch import scratch_folder
 from worker.watch import Reason, Watch
 
@@ -32,8 +32,9 @@ log = logging.getLogger("mgsr.worker")
 TICK = 0.1
 BEAT_PERIOD = 10.0
 KILLED = -9
-# What leaves no time for a last checkpoint. Outside training there is nothing new to keep either.
+# What leaves no time for a last checkpoint. Outside these steps there is nothing new to keep either.
 AT_ONCE = (Reason.MEMORY, Reason.LEASE_LOST, Reason.DISK_FULL)
+KEEPING_STEPS = ("train", "cameras")
 
 # Failures after which the same archive and options fail again.
 FINAL_CODES = {
@@ -150,15 +151,33 @@ class Attempt:
         return None
 
     def _fetch(self) -> None:
-        """Fetch the archive, and the newest checkpoint that any attempt has left."""
+        """Fetch the archive, and the newest checkpoint and cameras that any attempt has left."""
         store, job = self._context.retrying_jobs.store, self._record.id
         (self._scratch / "out").mkdir()
         store.download(self._record.archive, self._scratch / "archive")
-        held = {entry.key for entry in store.entries(f"jobs/{job}/attempts") if entry.key.endswith("/checkpoint")}
-        for earlier in range(self._attempt - 1, 0, -1):
-            if (key := attempt_path(job, earlier, "checkpoint")) in held:
-                store.download(key, self._scratch / "out" / "checkpoint")
-                return
+        self._fetch_taken_over()
+        held = {entry.key for entry in store.entries(f"jobs/{job}/attempts")}
+        for marker, folder in (("checkpoint", "checkpoint"), (CAMERA_STATE, CAMERAS)):
+            attempts = range(self._attempt - 1, 0, -1)
+            earlier = next((number for number in attempts if attempt_path(job, number, marker) in held), None)
+            if earlier is not None:
+                self._fetch_kept(held, attempt_path(job, earlier, folder), self._scratch / "out" / folder)
+
+    def _fetch_kept(self, held: set[str], kept: str, target: Path) -> None:
+        """Fetch a kept file, or the files of a kept folder."""
+        for key in held:
+            if key == kept or key.startswith(f"{kept}/"):
+                place = Path(f"{target}{key.removeprefix(kept)}")
+                place.parent.mkdir(parents=True, exist_ok=True)
+                self._context.retrying_jobs.store.download(key, place)
+
+    def _fetch_taken_over(self) -> None:
+        """Fetch into the results what a rerun takes over from those of the earlier job."""
+        store, folder = self._context.retrying_jobs.store, attempt_path(self._record.id, TAKEN_OVER, "")
+        for name in store.names(folder):
+            path = self._scratch / "out" / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            store.download(f"{folder}{name}", path)
 
     def _run_process(self) -> Outcome | None:
         """Run the job process to its end; return the outcome unless its results decide it."""
@@ -191,7 +210,7 @@ class Attempt:
             if reason is not None and asked is None:
                 asked = time.monotonic()
                 log.info("job %s: stopping: %s", self._record.id, reason)
-                if reason in AT_ONCE or self._known["step"] != "train":
+                if reason in AT_ONCE or self._known["step"] not in KEEPING_STEPS:
                     return process.kill()
                 process.ask_to_stop()
             if asked is not None and time.monotonic() - asked > self._context.settings.stop_grace:
@@ -231,7 +250,7 @@ class Attempt:
             out=scratch / "out",
             previews=scratch / "previews",
             result=scratch / "result.json",
-            resume=(scratch / "out" / "checkpoint").exists(),
+            resume=(scratch / "out" / "checkpoint").exists() or (scratch / "out" / CAMERAS).exists(),
             checkpoint_seconds=settings.checkpoint_seconds,
             max_members=settings.max_members,
             max_unpacked=settings.max_unpacked,
@@ -261,6 +280,7 @@ class Attempt:
                     finished=now(),
                     artifacts=artifacts,
                     metrics=metrics,
+                    findings=findings(out),
                 )
             )
 
@@ -319,8 +339,8 @@ class Attempt:
         return Outcome(status=JobStatus.FAILED, attempt=self._attempt, finished=now(), error=failure)
 
     def _keep_checkpoint(self) -> None:
-        """Upload checkpoint and log to the store, without waiting for one that is away."""
-        for send in (self._carrier.send_checkpoint, self._carrier.send_log):
+        """Upload checkpoint, cameras and log to the store, without waiting for one that is away."""
+        for send in (self._carrier.send_checkpoint, self._carrier.send_cameras, self._carrier.send_log):
             try:
                 send()
             except (StoreError, OSError):

@@ -1,4 +1,4 @@
-"""Upload what a running job makes to the store while it runs: checkpoint, previews, log."""
+"""Upload what a running job makes to the store while it runs: checkpoint, found cameras, previews, log."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from service.contract.jobs import Jobs, attempt_path
 PERIOD = 1.0  # seconds between two looks
 LOG_PERIOD = 5.0
 CANCEL_PERIOD = 5.0
+# Of the results: the folder of found cameras, and the file in it that says what is there.
+CAMERAS = "cameras"
+CAMERA_STATE = "cameras/search.json"
 
 
 class Carrier:
@@ -38,14 +41,34 @@ class Carrier:
 
     def send_checkpoint(self) -> None:
         """Upload the checkpoint if it has changed. Raises StoreError."""
-        source = self._scratch / "out" / "checkpoint"
+        self._send_linked(self._scratch / "out" / "checkpoint", "checkpoint")
+
+    def send_cameras(self) -> None:
+        """Upload the files of the search for cameras that have changed. Raises StoreError.
+
+        The state that names them is read before the others, and uploaded after them.
+        """
+        out = self._scratch / "out"
+        state, snapshot = out / CAMERA_STATE, self._scratch / "cameras.state"
+        if not state.exists():
+            return
+        version = _version(state)
+        snapshot.unlink(missing_ok=True)
+        os.link(state, snapshot)
+        for source in sorted((out / CAMERAS).rglob("*")):
+            if source.is_file() and source != state and not source.name.startswith("."):
+                self._send_linked(source, source.relative_to(out).as_posix())
+        if self._sent.get(state) != version:
+            self._send(snapshot, CAMERA_STATE, state)
+
+    def _send_linked(self, source: Path, name: str) -> None:
+        """Upload a file, if it has changed, by a second name: the job may replace the first while it is read."""
         if not self._changed(source):
             return
-        # A second name for the file: the job replaces the first while this one is read.
         linked = self._scratch / "checkpoint.sending"
         linked.unlink(missing_ok=True)
         os.link(source, linked)
-        self._send(linked, "checkpoint", source)
+        self._send(linked, name, source)
 
     def send_log(self) -> None:
         """Upload the log if it has changed. Raises StoreError."""
@@ -57,7 +80,13 @@ class Carrier:
         while not self._done.wait(PERIOD):
             self._since_log += PERIOD
             self._since_cancel += PERIOD
-            for step in (self.send_checkpoint, self._send_previews, self._log_if_due, self._look_for_cancel):
+            for step in (
+                self.send_checkpoint,
+                self.send_cameras,
+                self._send_previews,
+                self._log_if_due,
+                self._look_for_cancel,
+            ):
                 self._try(step)
 
     def _try(self, step: Callable[[], None]) -> None:

@@ -97,14 +97,13 @@ def _run(spec: JobSpec) -> JobResult:
 
 def _reconstruct(spec: JobSpec) -> None:
     from mgsr.config import make_config
-    from mgsr.data.archive import ArchiveLimits, unpack
     from mgsr.pipeline.stop_signals import stop_on_signals
     from worker.images import check_images
 
     started_at = time.perf_counter()
     with stop_on_signals() as stop:
         emit("step", step="unpack", text="unpacking the archive", progress=0.0, eta_seconds=None)
-        unpack(spec.archive, spec.scene, ArchiveLimits(spec.max_members, spec.max_unpacked, spec.max_ratio))
+        _unpack(spec)
         check_images(spec.scene, spec.max_pixels)
         options = spec.options
         watch = ["watch.report_every=5", "watch.preview_every=200"]
@@ -112,7 +111,8 @@ def _reconstruct(spec: JobSpec) -> None:
         always = [f"watch.checkpoint_seconds={spec.checkpoint_seconds}", "data.confined=on"]
         config = make_config(options.preset, options.method, options.seed, [*watch, *options.overrides(), *always])
 
-        from mgsr.pipeline.result_paths import LOG
+        from mgsr.pipeline.estimate import write_estimate
+        from mgsr.pipeline.result_paths import LOG, OBJECT
         from mgsr.pipeline.run import run_scene
         from mgsr.pipeline.run_display import RunDisplay
         from worker.reporting import Reporter
@@ -121,6 +121,9 @@ def _reconstruct(spec: JobSpec) -> None:
             report = Reporter(spec.previews, partial(_tell, spec), partial(_log, spec, display))
             # By its name alone, so that the report and the log do not speak of the worker's folders.
             os.chdir(spec.scene.parent)
+            if options.dry_run:
+                write_estimate(Path(spec.scene.name), spec.out, config, options.device, report, stop)
+                return
             run_scene(
                 Path(spec.scene.name),
                 spec.out,
@@ -130,7 +133,21 @@ def _reconstruct(spec: JobSpec) -> None:
                 report,
                 stop,
                 started_at=started_at,
+                reuse_object=(spec.out / OBJECT).is_file(),
             )
+
+
+def _unpack(spec: JobSpec) -> None:
+    """Unpack the archive into the scene's folder; a video that came alone is put there."""
+    from mgsr.data.archive import ArchiveLimits, unpack
+    from mgsr.data.video import suffix_by_content
+
+    suffix = suffix_by_content(spec.archive)
+    if suffix is None:
+        unpack(spec.archive, spec.scene, ArchiveLimits(spec.max_members, spec.max_unpacked, spec.max_ratio))
+        return
+    spec.scene.mkdir(parents=True)
+    os.link(spec.archive, spec.scene / f"{spec.scene.name}{suffix}")
 
 
 def emit(kind: str, **data: Any) -> None:

@@ -17,9 +17,12 @@ _KEPT_BACK = {"checkpoint"}
 _TYPES = {
     ".ply": "application/octet-stream",
     ".glb": "model/gltf-binary",
+    ".usdz": "model/vnd.usdz+zip",
+    ".exr": "image/x-exr",
     ".obj": "model/obj",
     ".txt": "text/plain; charset=utf-8",
 }
+_ESTIMATE = "estimate.json"
 _METRICS = ("psnr_test", "ssim_test", "mesh", "gaussians", "iterations", "seconds", "peak_memory_mib", "gt")
 
 
@@ -36,11 +39,23 @@ def upload_results(store: Store, job: str, attempt: int, out: Path) -> list[Arti
 
 
 def headline(out: Path) -> dict[str, Any]:
-    """Return the figures of report.json for the job's own document, and its notes on the photographs."""
+    """Return the figures of report.json for the job's own document, and its notes on the photographs.
+
+    Of a dry run, it is the estimate of each preset.
+    """
+    if (out / _ESTIMATE).is_file():
+        return {"estimate": json.loads((out / _ESTIMATE).read_text())["presets"]}
     report = json.loads((out / "report.json").read_text())
     figures = {name: report[name] for name in _METRICS if report.get(name) is not None}
     notes = report.get("input", {}).get("notes")
     return figures | ({"notes": notes} if notes else {})
+
+
+def findings(out: Path) -> list[dict[str, Any]] | None:
+    """Return what the check before training found; None where there was no check."""
+    document = _ESTIMATE if (out / _ESTIMATE).is_file() else "report.json"
+    inspection = json.loads((out / document).read_text()).get("inspection")
+    return None if inspection is None else list(inspection["findings"])
 
 
 def _sha256(path: Path) -> str:

@@ -102,7 +102,7 @@ class TimeBudget:
             if smaller.pixels < LEAST_PIXELS and self.scale is not None:
                 break
             self.scale = scale
-            before = LONGER_START * costs.start_cost(smaller) + _reference_training(smaller, draft)
+            before = LONGER_START * costs.start_cost(smaller) + reference_training(smaller, draft)
             if self.spent + self.slowness * before + self._after(smaller, draft.mesh) <= self._aim:
                 break
         assert self.scale is not None
@@ -330,7 +330,7 @@ def _splats(stage: str, facts: Facts, config: Config) -> dict[str, int]:
     return {name: (branch.max_start + most[name]) // 2 for name, branch in branches.items()}
 
 
-def _reference_training(facts: Facts, config: Config) -> float:
+def reference_training(facts: Facts, config: Config) -> float:
     """Return the seconds of training on the reference machine."""
     return sum(
         _work(config, name) * costs.iteration_cost(name, facts, _splats(name, facts, config))

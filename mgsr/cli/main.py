@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
+from typing import Annotated
 
 import typer
 
@@ -12,6 +14,7 @@ from mgsr.cli.demo import demo
 from mgsr.cli.options import (
     AsSceneOption,
     DeviceOption,
+    FacesOption,
     MethodOption,
     ObjOption,
     OutOption,
@@ -23,6 +26,7 @@ from mgsr.cli.options import (
     SetOption,
     TextureOption,
     UpOption,
+    UsdzOption,
     output_overrides,
     refusals,
 )
@@ -32,7 +36,7 @@ from mgsr.config import make_config
 from mgsr.pipeline.stop_signals import stop_on_signals
 
 app = typer.Typer(
-    help="Posed photographs in, surface mesh and clean renders out.",
+    help="Photographs in, surface mesh and clean renders out.",
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -49,12 +53,64 @@ def info(scene: SceneArgument, settings: SetOption = None) -> None:
     """Say what SCENE holds, after every check that a run makes before training."""
     with refusals():
         config = make_config(overrides=settings or [])
-        from mgsr.data.readers import load_scene
+        from mgsr.data.find_cameras import facts_without_cameras
+        from mgsr.data.readers import find_capture, load_capture
         from mgsr.pipeline.run_metadata import scene_facts
 
-        found = load_scene(scene, config.data)
-        for name, value in scene_facts(found).to_json().items():
+        found = find_capture(scene, config.data)
+        if found.kind is None:
+            facts = facts_without_cameras(found)
+        else:
+            facts = scene_facts(load_capture(found, config.data)).to_json()
+        for name, value in facts.items():
             print(f"{name:16} {', '.join(map(str, value)) if isinstance(value, list) else value}")
+
+
+@app.command()
+def check(
+    scene: SceneArgument,
+    as_json: Annotated[bool, typer.Option("--json", help="Write everything as JSON.")] = False,
+    settings: SetOption = None,
+) -> None:
+    """Inspect SCENE before training: what is wrong, in which photographs, and what to do. Exit code 1 on errors."""
+    with refusals():
+        config = make_config(overrides=settings or [])
+        from mgsr.data.readers import load_scene
+        from mgsr.inspection.findings import Severity
+        from mgsr.inspection.inspect import inspect_scene
+        from mgsr.pipeline.run_metadata import scene_line
+        from mgsr.pipeline.scene_check import summary
+
+        found = load_scene(scene, config.data)
+        inspection = inspect_scene(found)
+        if as_json:
+            print(json.dumps(inspection.to_json(), indent=2))
+        else:
+            print(scene_line(found))
+            for finding in inspection.findings:
+                print(finding.line)
+            print(summary(inspection))
+    raise typer.Exit(1 if inspection.worst is Severity.ERROR else 0)
+
+
+@app.command()
+def estimate(
+    scene: SceneArgument,
+    method: MethodOption = "mgsr",
+    device: DeviceOption = "auto",
+    as_json: Annotated[bool, typer.Option("--json", help="Write everything as JSON.")] = False,
+    settings: SetOption = None,
+) -> None:
+    """Say how long a run on SCENE will take on this machine, and how much memory, at each preset."""
+    with refusals():
+        config = make_config(method=method, overrides=[*(settings or []), "check=off"])
+        from mgsr.pipeline.estimate import estimate_line, estimate_presets
+
+        estimates = estimate_presets(scene, config, device)
+        if as_json:
+            print(json.dumps([asdict(each) for each in estimates], indent=2))
+        else:
+            print("\n".join(map(estimate_line, estimates)))
 
 
 @app.command()
@@ -85,15 +141,17 @@ def mesh(
     out: OutOption,
     preset: PresetOption = "standard",
     device: DeviceOption = "auto",
+    faces: FacesOption = None,
     texture: TextureOption = None,
     obj: ObjOption = False,
+    usdz: UsdzOption = False,
     up: UpOption = None,
     scale: ScaleOption = None,
     settings: SetOption = None,
 ) -> None:
-    """Extract mesh.ply and mesh.glb from the splats in OUT, with the preset's settings of the surface."""
+    """Extract mesh.ply and model.glb from the splats in OUT, with the preset's settings of the surface."""
     with refusals():
-        overrides = [*(settings or []), *output_overrides(texture, obj, up, scale)]
+        overrides = [*(settings or []), *output_overrides(faces, texture, obj, usdz, up, scale)]
         config = make_config(preset, overrides=overrides)
         from mgsr.pipeline.single_steps import mesh_again
 

@@ -19,7 +19,7 @@ from mgsr.pipeline.stop_signals import INTERRUPTED, cleaned_up_after_signals
 REFUSED = 2
 
 SceneArgument = Annotated[
-    Path, typer.Argument(metavar="SCENE", help="A folder or archive of posed photographs (docs/inputs.md).")
+    Path, typer.Argument(metavar="SCENE", help="A folder or archive of photographs, or a video (docs/inputs.md).")
 ]
 OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder of the results.")]
 PresetOption = Annotated[str, typer.Option(help=f"How much work: {', '.join(PRESETS)}.", metavar="PRESET")]
@@ -37,13 +37,15 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change one setting (docs/options.md); may be repeated."),
 ]
+FacesOption = Annotated[
+    int | None, typer.Option(metavar="FACES", help="Reduce model.glb to so many faces instead of 100,000.")
+]
 TextureOption = Annotated[
     int | None,
-    typer.Option(
-        metavar="TEXELS", help="Also write mesh_textured.glb with a picture of so many texels a side, such as 2048."
-    ),
+    typer.Option(metavar="TEXELS", help="Make model.glb's maps so many texels wide, such as 2048."),
 ]
 ObjOption = Annotated[bool, typer.Option("--obj", help="Also write mesh.obj.")]
+UsdzOption = Annotated[bool, typer.Option("--usdz", help="Also write model.usdz (pip install 'mgsr[usd]').")]
 UpOption = Annotated[
     Up | None, typer.Option(help="Which axis of the capture's frame points up; .glb files are turned to y.")
 ]
@@ -61,9 +63,12 @@ AsSceneOption = Annotated[
 ]
 
 
-def output_overrides(texture: int | None, obj: bool, up: Up | None, scale: float | None) -> list[str]:
+def output_overrides(
+    faces: int | None, texture: int | None, obj: bool, usdz: bool, up: Up | None, scale: float | None
+) -> list[str]:
     """Return what these options mean as settings; none for what was not given."""
-    given = {"texture": texture, "obj": "on" if obj else None, "up": up, "scale": scale}
+    given: dict[str, object] = {"faces": faces, "texture": texture, "obj": "on" if obj else None}
+    given |= {"usdz": "on" if usdz else None, "up": up, "scale": scale}
     return [f"output.{name}={value}" for name, value in given.items() if value is not None]
 
 

@@ -10,7 +10,7 @@ import typer
 from mgsr.cli.options import refusals
 
 PhotosArgument = Annotated[
-    Path, typer.Argument(metavar="PHOTOS", help="A folder or archive of photographs.", exists=True)
+    Path, typer.Argument(metavar="PHOTOS", help="A folder or archive of photographs, or a video.", exists=True)
 ]
 SceneOption = Annotated[Path, typer.Option("--out", "-o", metavar="SCENE", help="The new scene's folder.")]
 PosesSeedOption = Annotated[int, typer.Option("--seed", help="Seeds the random samples of COLMAP.", min=0)]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from mgsr.cli.options import (
     DeviceOption,
+    FacesOption,
     MethodOption,
     ObjOption,
     OutOption,
@@ -19,6 +20,7 @@ from mgsr.cli.options import (
     TextureOption,
     TimeBudgetOption,
     UpOption,
+    UsdzOption,
     output_overrides,
     refusals,
 )
@@ -34,8 +36,10 @@ def run(
     device: DeviceOption = "auto",
     seed: SeedOption = 0,
     resume: ResumeOption = False,
+    faces: FacesOption = None,
     texture: TextureOption = None,
     obj: ObjOption = False,
+    usdz: UsdzOption = False,
     up: UpOption = None,
     scale: ScaleOption = None,
     settings: SetOption = None,
@@ -44,7 +48,7 @@ def run(
     """Reconstruct SCENE into OUT: mesh, splats, renders of the test views and a report."""
     started_at = time.perf_counter()
     with refusals(resumes=True):
-        wishes = [*(settings or []), *output_overrides(texture, obj, up, scale)]
+        wishes = [*(settings or []), *output_overrides(faces, texture, obj, usdz, up, scale)]
         wishes += [] if time_budget is None else [f"time_budget={time_budget}"]
         report = _run(scene, out, make_config(preset, method, seed, wishes), device, resume, started_at)
     print(f"mesh   {out / 'mesh.ply'}")

@@ -4,7 +4,7 @@
 METHODS, then the caller's ``key=value`` overrides. ABLATIONS has the paper's rows as such overrides.
 """
 
-from mgsr.config.capture import Blurred, DataConfig, Exposure, Masks, Object, object_box
+from mgsr.config.capture import DataConfig, Exposure, Flawed, Masks, Object, object_box
 from mgsr.config.expert import ExpertConfig
 from mgsr.config.making import ablation_overrides, make_config
 from mgsr.config.overrides import EXPERT, RENAMED, apply_overrides, field_types, override_texts
@@ -47,7 +47,6 @@ __all__ = [
     "RENAMED",
     "AlphaLoss",
     "Background",
-    "Blurred",
     "Branches",
     "Config",
     "DataConfig",
@@ -57,6 +56,7 @@ __all__ = [
     "ExpertConfig",
     "Exposure",
     "Extractor",
+    "Flawed",
     "GaussianConfig",
     "GaussianDensifyConfig",
     "Growth",

@@ -21,8 +21,9 @@ class Masks(StrEnum):
     OFF = "off"
 
 
-class Blurred(StrEnum):
-    """keep: photographs that are much less sharp than their neighbours are used; drop: they are left out."""
+class Flawed(StrEnum):
+    """keep: photographs that are much less sharp than their neighbours, and those whose poses contradict what they
+    show, are used; drop: they are left out."""
 
     KEEP = "keep"
     DROP = "drop"
@@ -52,8 +53,12 @@ class DataConfig:
     object: Object = Object.AUTO
     object_box: str | None = None  # x0,y0,z0,x1,y1,z1 in the capture's frame and unit: between these corners lies the
     # object, of which masks are found then; none leaves it to `object`
-    blurred: Blurred = Blurred.KEEP
+    flawed: Flawed = Flawed.KEEP
+    check: bool = True  # inspect photographs, cameras and masks before training (`mgsr check`)
     confined: bool = False  # look for nothing outside the folder that is given; jobs of the service always do so
+    camera_per_image: bool = False  # where cameras are searched for: each photograph has a lens of its own, as after
+    # zooming or cropping; else the photographs of one camera share a lens
+    video_frames: int = 200  # at most so many frames of videos are used; their number depends on the motion
     test_every: int = 8  # every n-th view is held out, where the files name no split
     max_side: int = 1600  # pixels; larger photographs are reduced to this by area means, before the lens is undone
 

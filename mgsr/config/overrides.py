@@ -36,6 +36,7 @@ RENAMED: dict[str, str] = {
     "outline_smoothing": "silhouette_smoothing",
     "fade_from": "decay_from",
     "final": "final_factor",
+    "blurred": "flawed",
     "warmup.stop_rule": "paper.stop_rule",
     "warmup.validation_views": "paper.validation_views",
     "warmup.validation_every": "paper.validation_every",

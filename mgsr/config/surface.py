@@ -77,7 +77,6 @@ class OutputConfig:
     scale: float = 1.0  # what all lengths in the written files are multiplied with; 1 is the capture's own unit
     up: Up = Up.AUTO
     obj: bool = False  # mesh.obj too
-    texture: int | None = None  # texels along a side of the picture of mesh_textured.glb; none writes no such file
-    texture_faces: int | None = (
-        50_000  # decimate mesh_textured.glb to this many, as its picture shows the rest; none is off
-    )
+    usdz: bool = False  # model.usdz too, for Apple's devices; needs the package usd-core
+    faces: int | None = 100_000  # decimate model.glb to this many, as its maps show the rest; none keeps all
+    texture: int | None = None  # texels along a side of model.glb's maps; none makes a texel as large as a pixel

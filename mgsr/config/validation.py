@@ -64,5 +64,5 @@ def _validate_output(output: OutputConfig) -> None:
         raise ConfigError(f"output.scale: expected a number above 0, got {output.scale:g}")
     if output.texture is not None and not 16 <= output.texture <= 16384:
         raise ConfigError(f"output.texture: expected 16 to 16384 texels, got {output.texture}")
-    if output.texture_faces is not None and output.texture_faces < 100:
-        raise ConfigError(f"output.texture_faces: expected at least 100, got {output.texture_faces}")
+    if output.faces is not None and output.faces < 100:
+        raise ConfigError(f"output.faces: expected at least 100, got {output.faces}")

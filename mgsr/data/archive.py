@@ -94,7 +94,7 @@ def unpack(archive: Path, target: Path | None = None, limits: ArchiveLimits | No
     members; for archives that unpack to more than the limits, counted in bytes really written; and for other kinds of
     archives. Raises OSError, naming the folder, where the disk is full. After an error nothing is left behind.
     """
-    folder = target or _temporary_folder() / archive_stem(archive)  # messages name a scene after its folder
+    folder = target or temporary_folder("mgsr-scene-") / archive_stem(archive)  # messages name a scene after its folder
     if folder.is_dir() and any(folder.iterdir()):
         raise SceneError(f"{folder}: expected an empty folder to unpack {archive.name} to; name another one")
     folder.mkdir(parents=True, exist_ok=True)
@@ -335,7 +335,8 @@ def _refused(archive: Path, name: str, what: str, code: str = "archive_unsafe_me
     return ArchiveError(code, f"{archive.name}: member {name!r} {what}")
 
 
-def _temporary_folder() -> Path:
-    folder = Path(tempfile.mkdtemp(prefix="mgsr-scene-"))
+def temporary_folder(prefix: str) -> Path:
+    """Return a new folder that is removed when this process ends."""
+    folder = Path(tempfile.mkdtemp(prefix=prefix))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder

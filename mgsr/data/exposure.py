@@ -55,17 +55,26 @@ def brightness_jumps(views: Sequence[View]) -> float:
     The scene's own light changes little from one camera to the next, so larger jumps come from exposure. A result of
     0.1 is a tenth more or less light.
     """
+    return robust_jump(brightness_offsets(views))
+
+
+def brightness_offsets(views: Sequence[View]) -> np.ndarray:
+    """Return each photograph's log mean light [V] relative to that of its neighbours."""
     light = np.log(np.maximum([_mean_light(view) for view in views], 1e-6))
     centers = np.array([view.camera.center for view in views])
     directions = centers / np.maximum(np.linalg.norm(centers, axis=1, keepdims=True), 1e-9)
     alike = directions @ directions.T
     np.fill_diagonal(alike, -2)
     nearest = np.argsort(-alike, axis=1, kind="stable")[:, :NEIGHBOURS]
-    jumps = light - light[nearest].mean(axis=1)
+    return np.asarray(light - light[nearest].mean(axis=1))
+
+
+def robust_jump(offsets: np.ndarray) -> float:
+    """Return the robust standard deviation of a photograph's log light, from the result [V] of `brightness_offsets`."""
     # Convert the median difference between one value and the mean of equally varying neighbours to a standard
     # deviation.
-    usual = 1.4826 * float(np.median(np.abs(jumps - np.median(jumps))))
-    return usual / float(np.sqrt(1 + 1 / nearest.shape[1]))
+    usual = 1.4826 * float(np.median(np.abs(offsets - np.median(offsets))))
+    return usual / float(np.sqrt(1 + 1 / min(NEIGHBOURS, len(offsets))))
 
 
 def _mean_light(view: View) -> float:

@@ -6,14 +6,15 @@ import itertools
 import os
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mgsr.data.archive import ARCHIVE_SUFFIXES
+from mgsr.data.camera_search import SEARCH_STATE
 from mgsr.data.capture import Format, Photo
 from mgsr.data.files import MASK_FOLDERS, images_below
 from mgsr.data.formats import all_formats
-from mgsr.data.odd_files import RAW_CURE, RAW_SUFFIXES, VIDEO_CURE, is_video, what_instead
+from mgsr.data.odd_files import RAW_CURE, RAW_SUFFIXES, VIDEO_CURE, is_video_name, videos_below, what_instead
 from mgsr.data.photo_files import SceneFolder
 from mgsr.data.unread import unread_cameras
 from mgsr.errors import SceneError
@@ -26,6 +27,9 @@ _MOST_FOLDERS = 2000
 _FARTHEST_AROUND = 3
 _DEEPEST_AROUND = 4
 
+# Cameras of fewer photographs can't be found.
+FEWEST_PHOTOS = 3
+
 # Files that may hold cameras.
 _CAMERA_SUFFIXES = (".csv", ".xml", ".json", ".sfm", ".txt", ".nvm", ".out", ".npz", ".npy")
 
@@ -35,20 +39,27 @@ _PROGRAMS_FOLDER = re.compile(r"\d+$|sparse|dense|colmap|sfm|.*_calibration|.*di
 
 @dataclass(frozen=True)
 class FoundScene:
-    """A scene's folder, format and name, with notes for the person on where it was found and other ways to read it."""
+    """A scene's folder, format and name, with notes for the person on where it was found and other ways to read it.
+
+    kind: None for photographs without cameras. given: the user's path. is_video: whether frames of a video are the
+    photographs.
+    """
 
     folder: SceneFolder
-    kind: Format
+    kind: Format | None
     name: str
     notes: tuple[str, ...]
+    given: Path
+    is_video: bool = False
 
 
 def find_scene(folder: Path, given: Path, confined: bool = False) -> FoundScene:
     """Find the scene in a folder: the nearest folder that a format recognises, itself first and then those below.
 
     given: the user's path, for messages: the folder, or the archive that it was unpacked from. A folder of photographs
-    with its cameras beside it belongs to the enclosing scene, unless it comes from an archive. confined: never search
-    outside the folder. Raises SceneError, with the folder's content and the cure, where it finds no scene or several.
+    with its cameras beside it belongs to the enclosing scene, unless it comes from an archive. Photographs that no
+    format recognises, or else a video, are a scene without cameras. confined: never search outside the folder. Raises
+    SceneError, with the folder's content and the cure, where it finds no scene or several.
     """
     formats = all_formats()
     for level in _levels(folder):
@@ -57,10 +68,10 @@ def find_scene(folder: Path, given: Path, confined: bool = False) -> FoundScene:
             names = ", ".join(str(path.relative_to(folder)) for path in scenes[:3])
             raise SceneError(f"{given}: {len(scenes)} scenes in it ({names}); give one of them")
         if scenes:
-            return _found(SceneFolder(scenes[0], folder), formats)
+            return _found(SceneFolder(scenes[0], folder), formats, given)
     if given.is_dir() and not confined and (around := scene_around(folder)):
         return around
-    raise _unknown(folder, given, formats)
+    return _without_cameras(folder, given, formats)
 
 
 def _levels(folder: Path) -> Iterator[list[Path]]:
@@ -74,7 +85,10 @@ def _levels(folder: Path) -> Iterator[list[Path]]:
 
 
 def _inner(folder: Path, seen: set[str]) -> list[Path]:
-    """Return the folders in a folder that may hold a scene and are not in `seen`, and add them to it."""
+    """Return the folders in a folder that may hold a scene and are not in `seen`, and add them to it.
+
+    Cameras that an earlier run found for its photographs are no scene of their own.
+    """
     try:
         paths = sorted(path for path in folder.iterdir() if path.is_dir())
     except OSError:
@@ -83,6 +97,7 @@ def _inner(folder: Path, seen: set[str]) -> list[Path]:
     for path in paths:
         real = os.path.realpath(path)
         hidden = path.name.startswith((".", "__")) or path.name.lower() in MASK_FOLDERS
+        hidden = hidden or (path / SEARCH_STATE).is_file()
         if not hidden and real not in seen and len(seen) < _MOST_FOLDERS:
             seen.add(real)
             found.append(path)
@@ -94,11 +109,11 @@ def _recognised(root: Path, formats: Sequence[Format]) -> list[tuple[Format, str
     return [(kind, file) for kind in formats if (file := kind.recognises(root))]
 
 
-def _found(folder: SceneFolder, formats: Sequence[Format]) -> FoundScene:
+def _found(folder: SceneFolder, formats: Sequence[Format], given: Path) -> FoundScene:
     (kind, file), *others = _recognised(folder.root, formats)
     left = " and ".join(f"{name} ({other.name})" for other, name in others)
     notes = (f"read from {file} ({kind.name}); {left} in the same folder is not used",) if others else ()
-    return FoundScene(folder, kind, _name(folder), notes)
+    return FoundScene(folder, kind, _name(folder), notes, given)
 
 
 def _name(folder: SceneFolder) -> str:
@@ -119,7 +134,7 @@ def scene_around(folder: Path) -> FoundScene | None:
         found = _scene_with(outer, inner, formats)
         if found is not None:
             note = f"{inner.name} is a part of the scene {found.name}, which is read"
-            return FoundScene(found.folder, found.kind, found.name, (note, *found.notes))
+            return replace(found, notes=(note, *found.notes))
     return None
 
 
@@ -130,7 +145,7 @@ def _scene_with(outer: Path, inner: Path, formats: Sequence[Format]) -> FoundSce
         if len(scenes) > 1:
             return None
         if scenes:
-            found = _found(SceneFolder(scenes[0], outer), formats)
+            found = _found(SceneFolder(scenes[0], outer), formats, inner)
             photos = _photos(found)
             inside = sum(photo.image.is_relative_to(inner) for photo in photos)
             _, file = _recognised(scenes[0], formats)[0]
@@ -140,34 +155,47 @@ def _scene_with(outer: Path, inner: Path, formats: Sequence[Format]) -> FoundSce
 
 
 def _photos(found: FoundScene) -> list[Photo]:
+    assert found.kind is not None
     try:
         return found.kind.read(found.folder).photos
     except SceneError:
         return []
 
 
-def _unknown(folder: Path, given: Path, formats: Sequence[Format]) -> SceneError:
-    """Return the error for a folder that no format recognises, with what lies there and what to do."""
-    looked = "; ".join(kind.looks_for for kind in formats)
+def _without_cameras(folder: Path, given: Path, formats: Sequence[Format]) -> FoundScene:
+    """Return the photographs, or else the videos, of a folder that no format recognises.
+
+    Raises SceneError where cameras are there that can't be read, or nothing to find cameras for, with what to do.
+    """
     files = [path for level in _levels(folder) for inner in level for path in _files(inner)]
-    archives = [path.name for path in files if path.name.lower().endswith(ARCHIVE_SUFFIXES)]
-    videos = [path.name for path in files if is_video(path)]
-    raw = [path.name for path in files if path.suffix.lower() in RAW_SUFFIXES]
-    images = images_below(folder)
     if unread := unread_cameras(folder):
-        return SceneError(f"{given}: {unread}")
+        raise SceneError(f"{given}: {unread}")
     for path in files:
         if path.suffix.lower() in _CAMERA_SUFFIXES and (odd := what_instead(path)):
-            return SceneError(f"{given}: {path.name} {odd}")
+            raise SceneError(f"{given}: {path.name} {odd}")
+    images = images_below(folder)
+    is_video = len(images) < FEWEST_PHOTOS and bool(videos_below(folder))
+    if len(images) < FEWEST_PHOTOS and not is_video:
+        raise _unknown(folder, given, formats, files, len(images))
+    whole = SceneFolder.at(folder)
+    return FoundScene(whole, None, _name(whole), (), given, is_video)
+
+
+def _unknown(folder: Path, given: Path, formats: Sequence[Format], files: Sequence[Path], images: int) -> SceneError:
+    """Return the error for a folder without a scene, photographs and videos, with what lies there and what to do."""
+    looked = "; ".join(kind.looks_for for kind in formats)
+    archives = [path.name for path in files if path.name.lower().endswith(ARCHIVE_SUFFIXES)]
+    videos = [path.name for path in files if is_video_name(path)]
+    raw = [path.name for path in files if path.suffix.lower() in RAW_SUFFIXES]
     if archives:
         return SceneError(f"{given}: no known scene in it, but another archive, {archives[0]}: unpack that first")
     if images:
         return SceneError(
-            f"{given}: {len(images)} images, but no cameras; find the cameras with `mgsr poses {given} -o SCENE`, "
-            f"or put them there. Looked for: {looked}. See docs/inputs.md"
+            f"{given}: {images} images, but no cameras; at least {FEWEST_PHOTOS} are needed to find cameras, 20 or "
+            f"more are good. Looked for: {looked}. See docs/inputs.md"
         )
     if videos:
-        return SceneError(f"{given}: a video ({videos[0]}) but no photographs; {VIDEO_CURE}")
+        return SceneError(f"{given}: a video ({videos[0]}) of a kind that is not read; {VIDEO_CURE}")
     if raw:
         return SceneError(f"{given}: raw photographs ({raw[0]}), which are not read; {RAW_CURE}")
     state = "no known scene in it" if any(folder.iterdir()) else "the folder is empty"

@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
+from mgsr.data.camera_search import Tell
 from mgsr.data.camera_tags import read_tags
 from mgsr.data.files import folded, images_below
+from mgsr.data.find_scene import FEWEST_PHOTOS
 from mgsr.data.images import DecodedImage, is_heif, read_picture
-from mgsr.data.odd_files import RAW_CURE, RAW_SUFFIXES, VIDEO_CURE, is_video, what_instead
+from mgsr.data.odd_files import RAW_CURE, RAW_SUFFIXES, VIDEO_ALONE, is_video_name, what_instead
 from mgsr.data.shared_lenses import PhotoFile
 from mgsr.errors import SceneError, in_short
 
-# Fewer than these can't be placed.
-_FEWEST = 3
 _LEAST_READABLE = 0.5
 _MOST_NAMED = 5
 
@@ -42,10 +42,14 @@ _HEIF_BRANDS = (b"mif1", b"msf1", b"mif2", b"avif", b"avis", b"miaf", b"jpeg", b
 
 @dataclass(frozen=True)
 class Gathered:
-    """The photographs in the scene's folder, and notes for the user on omitted files."""
+    """The photographs in the scene's folder, and notes for the user on omitted files.
+
+    originals: by the photographs' names in that folder, their names in the user's.
+    """
 
     shots: tuple[PhotoFile, ...]
     notes: tuple[str, ...]
+    originals: Mapping[str, str]
 
 
 def find_photos(folder: Path, given: Path) -> list[Path]:
@@ -54,31 +58,40 @@ def find_photos(folder: Path, given: Path) -> list[Path]:
     given: the user's path, for messages. Raises SceneError, with what lies there instead, where they are too few.
     """
     images = images_below(folder)
-    if len(images) < _FEWEST:
-        text = f"{given}: {len(images)} images; at least {_FEWEST} are needed to find cameras, 20 or more are good"
+    if len(images) < FEWEST_PHOTOS:
+        text = (
+            f"{given}: {len(images)} images; at least {FEWEST_PHOTOS} are needed to find cameras, 20 or more are good"
+        )
         raise SceneError("; ".join([text, *_bystanders(folder, images)]))
     return images
 
 
-def gather(photos: Path, images: Sequence[Path], folder: Path) -> Gathered:
+def gather(photos: Path, images: Sequence[Path], folder: Path, tell: Tell = lambda done: None) -> Gathered:
     """Put the photographs below `photos` into `folder` as hard links, or as PNG where COLMAP does not read their kind.
 
     Where the disk has no hard links, files are copied. PNGs are 8-bit sRGB and keep their alpha. Each photograph is
     decoded once, so that damaged ones are found. Raises SceneError where most can't be read or too few are left, with
     the reason of the first.
+
+    tell: receives the share of the photographs that is done.
     """
     shots: list[PhotoFile] = []
+    originals: dict[str, str] = {}
     lost: dict[str, SceneError] = {}
     taken = {folded(str(image.relative_to(photos))) for image in images}
-    for image in images:
+    for number, image in enumerate(images):
+        tell(number / len(images))
+        name = image.relative_to(photos)
         try:
-            shots.append(_hand_over(image, image.relative_to(photos), folder, taken))
+            shots.append(_hand_over(image, name, folder, taken))
+            originals[shots[-1].name] = name.as_posix()
         except SceneError as error:
-            lost[image.relative_to(photos).as_posix()] = error
-    if lost and (len(shots) < _FEWEST or len(shots) < _LEAST_READABLE * len(images)):
+            lost[name.as_posix()] = error
+    if lost and (len(shots) < FEWEST_PHOTOS or len(shots) < _LEAST_READABLE * len(images)):
         first = next(iter(lost.values()))
         raise SceneError(f"{len(lost)} of {len(images)} photographs can't be read; the first: {first}") from first
-    return Gathered(tuple(shots), (*_notes_of_lost(lost, len(images)), *_bystanders(photos, images)))
+    notes = (*_notes_of_lost(lost, len(images)), *_bystanders(photos, images))
+    return Gathered(tuple(shots), notes, originals)
 
 
 def _notes_of_lost(lost: Mapping[str, SceneError], total: int) -> tuple[str, ...]:
@@ -96,7 +109,7 @@ def _hand_over(image: Path, name: Path, folder: Path, taken: set[str]) -> PhotoF
     photographs.
     """
     _require_photo(image)
-    picture = read_picture(image, "mgsr poses")
+    picture = read_picture(image, "the search for cameras")
     tags = read_tags(image)
     converted = not _is_read_by_colmap(image)
     if converted:
@@ -115,7 +128,7 @@ def _require_photo(image: Path) -> None:
     if odd := what_instead(image):
         raise SceneError(f"{image.name} {odd}")
     if is_heif(image) and not _has_heif_brand(image):
-        raise SceneError(f"{image.name} is a video and not a photograph; {VIDEO_CURE}")
+        raise SceneError(f"{image.name} is a video and not a photograph; {VIDEO_ALONE}")
 
 
 def _has_heif_brand(image: Path) -> bool:
@@ -175,7 +188,10 @@ def _bystanders(folder: Path, images: Iterable[Path]) -> tuple[str, ...]:
     known = {folded(str(image.with_suffix(""))) for image in images}
     files = [path for path in sorted(folder.rglob("*")) if not path.name.startswith(".") and path.is_file()]
     alone = [path for path in files if folded(str(path.with_suffix(""))) not in known]
-    return (*_note_of(alone, is_video, "video", VIDEO_CURE), *_note_of(alone, _is_raw, "raw photograph", RAW_CURE))
+    return (
+        *_note_of(alone, is_video_name, "video", VIDEO_ALONE),
+        *_note_of(alone, _is_raw, "raw photograph", RAW_CURE),
+    )
 
 
 def _note_of(files: Sequence[Path], is_kind: Callable[[Path], bool], what: str, cure: str) -> tuple[str, ...]:

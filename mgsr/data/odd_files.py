@@ -6,13 +6,13 @@ from pathlib import Path
 
 from mgsr.errors import SceneError
 
-VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi", ".mts", ".3gp", ".insv")
+# Of videos that are read, and of others.
+VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".webm", ".mkv", ".3gp")
+_OTHER_VIDEO_SUFFIXES = (".avi", ".mts", ".m2ts", ".wmv", ".insv")
 RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".insp", ".360")
 
-VIDEO_CURE = (
-    "take frames from it, such as by `ffmpeg -i VIDEO -vf fps=2 -q:v 1 frames/%04d.jpg`, and find their cameras with "
-    "`mgsr poses frames -o SCENE`"
-)
+VIDEO_CURE = "convert it with `ffmpeg -i VIDEO -c:v libx264 -crf 15 VIDEO.mp4`, and give that alone"
+VIDEO_ALONE = "give a video without photographs beside it, and frames of it are used"
 RAW_CURE = "develop them to JPEG, PNG or TIFF, all with the same settings"
 
 _LFS = b"version https://git-lfs.github.com/spec/"
@@ -44,6 +44,17 @@ def require_content(path: Path) -> None:
         raise SceneError(f"{path.name} {odd}")
 
 
-def is_video(path: Path) -> bool:
-    """Return whether a file has the name of a video."""
+def is_video_name(path: Path) -> bool:
+    """Return whether a file has the name of a video, whether it is read or not."""
+    return path.suffix.lower() in (*VIDEO_SUFFIXES, *_OTHER_VIDEO_SUFFIXES)
+
+
+def is_read_video_name(path: Path) -> bool:
+    """Return whether a file has the name of a video of a kind that is read."""
     return path.suffix.lower() in VIDEO_SUFFIXES
+
+
+def videos_below(folder: Path) -> list[Path]:
+    """Return the videos in a folder and below it by their names, sorted, without hidden files."""
+    files = (path for path in folder.rglob("*") if is_read_video_name(path) and path.is_file())
+    return sorted(path for path in files if not path.name.startswith("."))

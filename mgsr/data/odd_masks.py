@@ -40,15 +40,23 @@ def agreeing_masks(views: Sequence[View], outlines: Sequence[Silhouette]) -> tup
     agreeing = np.ones(len(views), dtype=bool)
     if len(outlines) < FEWEST:
         return agreeing, ()
-    left_out = _left_out(views, outlines)
-    votes = left_out.sum(axis=0)
-    objects = votes <= max(votes.min(), 1, DISSENT * len(views))
-    odd = left_out[:, objects].mean(axis=1) > MOST_LEFT_OUT
+    odd = left_out_shares(views, outlines) > MOST_LEFT_OUT
     if not 0 < odd.sum() <= MOST_ODD * len(views):
         return agreeing, ()
     names = ", ".join(repr(view.name) for view in compress(views, odd))
     text = f"the masks of {odd.sum()} of {len(views)} training views leave out where the others have the object"
     return ~odd, (f"{text} ({names}): these views are left out",)
+
+
+def left_out_shares(views: Sequence[View], outlines: Sequence[Silhouette]) -> np.ndarray:
+    """Return the share of the object, as nearly all masks have it, that each view's mask leaves out, [V].
+
+    views: with masks that are not empty; outlines: their silhouettes.
+    """
+    left_out = _left_out(views, outlines)
+    votes = left_out.sum(axis=0)
+    objects = votes <= max(votes.min(), 1, DISSENT * len(views))
+    return np.asarray(left_out[:, objects].mean(axis=1))
 
 
 def _left_out(views: Sequence[View], outlines: Sequence[Silhouette]) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Read a folder or archive of posed photographs as a Scene in its normalised frame."""
+"""Read a folder or archive of photographs, or a video, as a Scene in its normalised frame."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from itertools import compress
 from pathlib import Path
 
 from mgsr.config import DataConfig, Masks
-from mgsr.data.archive import archive_stem, unpack
+from mgsr.data.archive import archive_stem, temporary_folder, unpack
+from mgsr.data.camera_search import CameraSearch
 from mgsr.data.capture import Capture, Photo, Split
 from mgsr.data.coverage import note_of_few_views
 from mgsr.data.files import IMAGE_SUFFIXES, view_names
-from mgsr.data.find_scene import find_scene, scene_around
+from mgsr.data.find_cameras import with_cameras
+from mgsr.data.find_scene import FEWEST_PHOTOS, FoundScene, find_scene, scene_around
 from mgsr.data.loading import LoadedView, LoadProgress, load_views
 from mgsr.data.mask_files import MaskIndex
 from mgsr.data.mask_use import MaskUse, require_plausible_ball
 from mgsr.data.normalise import OUTLINE_SIDE, normalisation
-from mgsr.data.odd_files import VIDEO_CURE, is_video, what_instead
+from mgsr.data.odd_files import VIDEO_CURE, is_read_video_name, is_video_name, what_instead
 from mgsr.data.odd_masks import agreeing_masks
 from mgsr.data.photo_files import SceneFolder
 from mgsr.data.scene import PointCloud, Scene, Similarity, View
@@ -38,23 +40,46 @@ def load_scene(
     config: DataConfig | None = None,
     unpack_to: Path | None = None,
     progress: LoadProgress | None = None,
+    search: CameraSearch | None = None,
 ) -> Scene:
-    """Load the scene at `path`, a folder or an archive of any supported format, and decode its images.
+    """Load the scene at `path`, a folder, an archive or a video, and decode its images.
+
+    Cameras are searched for where the photographs have none, which takes minutes.
 
     config: the settings of the reading; None means the defaults. unpack_to: where an archive's files go; by default a
     folder that is removed when the process ends. progress: called every few seconds with the numbers of decoded and of
-    all photographs. A name is unique within train and within test. `test` is empty where the files name no split and
-    there are fewer than `config.test_every` views.
+    all photographs. search: the terms of a search for cameras. A name is unique within train and within test. `test` is
+    empty where the files name no split and there are fewer than `config.test_every` views.
 
     Raises SceneError, before anything is trained, naming the file and the cure.
     """
     config = DataConfig() if config is None else config
+    found = find_capture(path, config, unpack_to)
+    return load_capture(with_cameras(found, config, search or CameraSearch()), config, progress)
+
+
+def find_capture(
+    path: str | os.PathLike[str], config: DataConfig | None = None, unpack_to: Path | None = None
+) -> FoundScene:
+    """Find the scene at `path`, with the arguments of `load_scene`; its cameras and photographs are not read yet.
+
+    Raises SceneError where there is none, and ConfigError for settings out of range.
+    """
+    config = DataConfig() if config is None else config
     _check_config(config)
     path = Path(path)
-    found = find_scene(_as_folder(path, unpack_to), path, config.confined)
-    capture = found.kind.read(found.folder)
+    return find_scene(_as_folder(path, unpack_to), path, config.confined)
+
+
+def load_capture(found: FoundScene, config: DataConfig, progress: LoadProgress | None = None) -> Scene:
+    """Read a scene that `find_capture` found and decode its images (see `load_scene`).
+
+    Raises SceneError.
+    """
+    path = found.given
+    capture = _read(found)
     if not capture.photos and path.is_dir() and not config.confined and (around := scene_around(path)):
-        found, capture = around, around.kind.read(around.folder)
+        found, capture = around, _read(around)
     present, lost = usable_photos(capture, found.folder)
     photos, unused = _with_masks(present, found.folder, config.masks)
     train, test = split(photos, config.test_every)
@@ -73,8 +98,9 @@ def load_scene(
         masks = [view.alpha for view in train_views if view.alpha is not None]
         require_plausible_ball(frame.scale, masks, [view.camera for view in train_views])
     few = note_of_few_views(train_views, frame.offset, masked=bool(outlines))
+    assert found.kind is not None
     return Scene(
-        name=archive_stem(path) if path.is_file() else found.name,
+        name=_stem(path) if path.is_file() else found.name,
         root=found.folder.root,
         format=found.kind.name,
         train=[_to_scene(view, frame) for view in train_views],
@@ -87,6 +113,12 @@ def load_scene(
         source=path,
         read_with=config,
     )
+
+
+def _read(found: FoundScene) -> Capture:
+    """Read the cameras of a scene, which must have some."""
+    assert found.kind is not None, "a search for cameras comes before"
+    return found.kind.read(found.folder)
 
 
 def split(photos: Sequence[Photo], test_every: int) -> tuple[list[Photo], list[Photo]]:
@@ -107,9 +139,9 @@ def split(photos: Sequence[Photo], test_every: int) -> tuple[list[Photo], list[P
 
 
 def _check_config(config: DataConfig) -> None:
-    for name in ("test_every", "max_side"):
-        if getattr(config, name) < 1:
-            raise ConfigError(f"data.{name}: expected at least 1, got {getattr(config, name)}")
+    for name, least in (("test_every", 1), ("max_side", 1), ("video_frames", FEWEST_PHOTOS)):
+        if getattr(config, name) < least:
+            raise ConfigError(f"data.{name}: expected at least {least}, got {getattr(config, name)}")
 
 
 def _as_folder(path: Path, unpack_to: Path | None) -> Path:
@@ -119,13 +151,28 @@ def _as_folder(path: Path, unpack_to: Path | None) -> Path:
         raise SceneError(f"{path}: no such folder or file")
     if odd := what_instead(path):
         raise SceneError(f"{path} {odd}")
-    if is_video(path):
-        raise SceneError(f"{path}: a video; {VIDEO_CURE}")
+    if is_read_video_name(path):
+        return _folder_of_video(path)
+    if is_video_name(path):
+        raise SceneError(f"{path}: a video of a kind that is not read; {VIDEO_CURE}")
     if path.suffix.lower() in IMAGE_SUFFIXES:
-        raise SceneError(f"{path}: a single photograph; give the folder of all photographs and their cameras")
+        raise SceneError(f"{path}: a single photograph; give the folder of all photographs")
     if path.suffix.lower() in _CAMERA_SUFFIXES:
         raise SceneError(f"{path}: a file of a scene; give the folder that holds it and the photographs")
     return unpack(path, unpack_to)
+
+
+def _stem(path: Path) -> str:
+    """Return the name of an archive or a video without its suffix."""
+    return path.stem if is_video_name(path) else archive_stem(path)
+
+
+def _folder_of_video(path: Path) -> Path:
+    """Return a folder that holds a link to a video alone, and is removed when the process ends."""
+    folder = temporary_folder("mgsr-video-") / _stem(path)
+    folder.mkdir()
+    (folder / path.name).symlink_to(path.resolve())
+    return folder
 
 
 def _with_masks(photos: list[Photo], folder: SceneFolder, masks: Masks) -> tuple[list[Photo], tuple[str, ...]]:
@@ -165,7 +212,7 @@ def _load(train: list[Photo], test: list[Photo], config: DataConfig, progress: L
     )
     if len(trained) < 2:
         raise lost[0]
-    sharp, blurred = without_blurred(trained, tested, config.blurred)
+    sharp, blurred = without_blurred(trained, tested, config.flawed)
     settled = settle_masks(*sharp, config.masks)
     unread = (f"{len(lost)} of {len(loaded)} photographs left out: {lost[0]}",) if lost else ()
     return replace(settled, notes=(*unread, *settled.notes, *blurred))

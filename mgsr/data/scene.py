@@ -167,7 +167,7 @@ class Scene:
         return Backdrop(BLACK if kind is Background.BLACK else WHITE)
 
 
-def some_of(views: Sequence[Item], most: int = PHOTOGRAPHS) -> list[Item]:
-    """Return at most so many of the views or photographs, spread over all."""
-    chosen = np.unique(np.linspace(0, len(views) - 1, most).round().astype(int))
-    return [views[index] for index in chosen]
+def some_of(items: Sequence[Item], most: int = PHOTOGRAPHS) -> list[Item]:
+    """Return at most so many of the items, such as views, spread over all."""
+    chosen = np.unique(np.linspace(0, len(items) - 1, most).round().astype(int))
+    return [items[index] for index in chosen]

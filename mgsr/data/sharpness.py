@@ -8,7 +8,7 @@ from itertools import compress
 import numpy as np
 from scipy.linalg import eigh
 
-from mgsr.config import Blurred
+from mgsr.config import Flawed
 from mgsr.data.loading import LoadedView
 from mgsr.data.scene import View
 from mgsr.parallel import map_ahead
@@ -24,7 +24,7 @@ _SIGMA = 1.5
 
 # The largest loss of fine detail, in powers of two, against sharp neighbours. On the shared scenes sharp
 # photographs lack at most 0.43; photographs moved by 5 pixels 0.5 to 1.2, by 9 pixels 0.9 to 1.6.
-_MUCH = 0.55
+MUCH = 0.55
 
 # Neighbours: those taken from the nearest places, and those before and after by name, as in a video.
 _NEAREST = 6
@@ -34,11 +34,11 @@ _NAMED = 3  # photographs that a note names
 
 
 def without_blurred(
-    train: list[LoadedView], test: list[LoadedView], blurred: Blurred
+    train: list[LoadedView], test: list[LoadedView], blurred: Flawed
 ) -> tuple[tuple[list[LoadedView], list[LoadedView]], tuple[str, ...]]:
     """Return the training and test views, and a note on the views that are much less sharp.
 
-    Under `Blurred.DROP` the views come without these.
+    Under `Flawed.DROP` the views come without these.
     """
     views = [item.view for item in (*train, *test)]
     less = less_sharp(views)
@@ -47,25 +47,30 @@ def without_blurred(
     names = sorted(view.name for view in compress(views, less))
     shown = ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
     text = f"{len(names)} of {len(views)} photographs are much less sharp than their neighbours ({shown})"
-    if blurred is Blurred.KEEP:
-        cure = f"`--set blurred=drop` leaves them out, if the other {len(views) - len(names)} show all of the object"
+    if blurred is Flawed.KEEP:
+        cure = f"`--set flawed=drop` leaves them out, if the other {len(views) - len(names)} show all of the object"
         return (train, test), (f"{text}, which costs accuracy: take them again, or {cure}",)
     kept = list(compress(train, ~less[: len(train)])), list(compress(test, ~less[len(train) :]))
     return kept, (f"{text}: they are left out",)
 
 
 def less_sharp(views: Sequence[View]) -> np.ndarray:
-    """Return which views are much less sharp than their neighbours, [V] bool.
+    """Return which views are much less sharp than their neighbours, [V] bool."""
+    return lost_sharpness(views) > MUCH
 
-    With fewer than three views, or for thumbnails, none is.
+
+def lost_sharpness(views: Sequence[View]) -> np.ndarray:
+    """Return how much less sharp each view is than its neighbours, [V], in powers of two.
+
+    With fewer than three views, or for thumbnails, it is 0.
     """
     if len(views) < 3 or min(min(view.image.shape[:2]) for view in views) < _SMALLEST:
-        return np.zeros(len(views), dtype=bool)
+        return np.zeros(len(views))
     sharpness = np.array(list(map_ahead(_sharpness, views, None)))
     neighbours = _neighbours(views)
     # The second sharpest: one neighbour may show another, more detailed part of the scene.
     best = np.array([np.sort(sharpness[near])[-2] for near in neighbours])
-    return np.asarray(best - sharpness > _MUCH)
+    return np.asarray(best - sharpness)
 
 
 def _sharpness(view: View) -> float:

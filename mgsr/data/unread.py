@@ -98,7 +98,7 @@ _TABLE = (
     _Unread(
         "COLMAP, still without poses",
         ("*.db",),
-        "run its mapper, or find the cameras with `mgsr poses`",
+        "run its mapper, or give the photographs without this file: their cameras are then found",
         b"CREATE TABLE cameras",
     ),
     # Research

@@ -29,7 +29,7 @@ def zoom_note(colmap: Any, model: Any) -> tuple[str, ...]:
         return ()
     return (
         f"{off} of {len(ratios)} photographs do not fit the lens that they share with others; if they were zoomed or "
-        "cropped, the cameras are wrong: find them again with `--camera-per-image`",
+        "cropped, the cameras are wrong: find them again with `--set camera_per_image=on`",
     )
 
 

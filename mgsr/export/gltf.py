@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
@@ -31,12 +32,29 @@ UpDirection = UpAxis | np.ndarray
 _DIRECTIONS = {UpAxis.Y: (0, 1, 0), UpAxis.Z: (0, 0, 1), UpAxis.MINUS_Y: (0, -1, 0), UpAxis.MINUS_Z: (0, 0, -1)}
 
 
-def glb(mesh: Mesh, attributes: Mapping[str, np.ndarray], up: UpDirection, png: bytes | None = None) -> bytes:
+@dataclass(frozen=True)
+class PbrMaterial:
+    """A physically based material; its maps are pictures of the surface by TEXCOORD_0, as PNG files' bytes.
+
+    base_color: sRGB. normal: in tangent space. occlusion: its red channel is the visible share of the sky. roughness,
+    metallic: 0..1 on the whole surface.
+    """
+
+    base_color: bytes
+    normal: bytes
+    occlusion: bytes
+    roughness: float
+    metallic: float
+
+
+def glb(
+    mesh: Mesh, attributes: Mapping[str, np.ndarray], up: UpDirection, material: PbrMaterial | None = None
+) -> bytes:
     """Return the bytes of a binary glTF file with one mesh.
 
-    attributes: by glTF's names, arrays [V,n] of little-endian float32. png: the surface's colours, sRGB, by TEXCOORD_0.
+    attributes: by glTF's names, arrays [V,n] of little-endian float32. material: None for a matte one.
 
-    The material is matte and two-sided. Positions are about the mesh's middle. The node puts them back (and turns the
+    The surface is two-sided. Positions are about the mesh's middle. The node puts them back (and turns the
     mesh y-up), so that frames with a far origin keep their precision.
     """
     vertices, faces = mesh.vertices, mesh.faces
@@ -55,9 +73,8 @@ def glb(mesh: Mesh, attributes: Mapping[str, np.ndarray], up: UpDirection, png: 
         "meshes": [{"primitives": [{"indices": indices, "attributes": places, "material": 0}]}],
         "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1}, "doubleSided": True}],
     }
-    if png is not None:
-        document |= _picture(body.add_bytes(png))
-        document["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
+    if material is not None:
+        document |= _textured(material, body)
     document |= {"accessors": body.accessors, "bufferViews": body.views, "buffers": [{"byteLength": len(body.data)}]}
     return glb_file(document, bytes(body.data))
 
@@ -88,11 +105,20 @@ class _Body:
         return len(self.accessors) - 1
 
 
-def _picture(view: int) -> dict[str, Any]:
+def _textured(material: PbrMaterial, body: _Body) -> dict[str, Any]:
+    """Append a material's pictures, and return the parts of the document that refer to them."""
     linear, mipmaps, clamped = 9729, 9987, 33071
+    views = [body.add_bytes(png) for png in (material.base_color, material.normal, material.occlusion)]
+    surface = {
+        "metallicFactor": material.metallic,
+        "roughnessFactor": material.roughness,
+        "baseColorTexture": {"index": 0},
+    }
+    maps = {"normalTexture": {"index": 1}, "occlusionTexture": {"index": 2}}
     return {
-        "textures": [{"source": 0, "sampler": 0}],
-        "images": [{"bufferView": view, "mimeType": "image/png"}],
+        "materials": [{"pbrMetallicRoughness": surface, **maps, "doubleSided": True}],
+        "textures": [{"source": source, "sampler": 0} for source in range(3)],
+        "images": [{"bufferView": view, "mimeType": "image/png"} for view in views],
         "samplers": [{"magFilter": linear, "minFilter": mipmaps, "wrapS": clamped, "wrapT": clamped}],
     }
 
@@ -100,12 +126,12 @@ def _picture(view: int) -> dict[str, Any]:
 def _node_matrix(middle: np.ndarray, up: UpDirection) -> list[float]:
     """Return the node's matrix as 16 numbers in column-major order, as in glTF; middle [3]."""
     matrix = np.eye(4)
-    matrix[:3, :3] = _turn_upright(up)
+    matrix[:3, :3] = turn_upright(up)
     matrix[:3, 3] = matrix[:3, :3] @ middle
     return [float(value) for value in matrix.T.ravel()]
 
 
-def _turn_upright(up: UpDirection) -> np.ndarray:
+def turn_upright(up: UpDirection) -> np.ndarray:
     """Return the shortest rotation [3,3] that takes `up` to y; the half turn about x where `up` points down.
 
     Source: Rodrigues' formula for the axis up x y, without the angle.

@@ -8,7 +8,7 @@ import numpy as np
 
 from mgsr.data.images import srgb_to_linear
 from mgsr.errors import MeshError
-from mgsr.export.gltf import UpAxis, UpDirection, glb
+from mgsr.export.gltf import PbrMaterial, UpAxis, UpDirection, glb
 from mgsr.export.ply_notes import number_comments
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.precision import box, float_is_too_coarse
@@ -72,28 +72,39 @@ def write_glb(path: Path, mesh: Mesh, colors: np.ndarray, up: UpDirection = UpAx
     check_mesh(mesh, colors=colors)
     linear = np.ones((len(mesh.vertices), 4), "<f4")
     linear[:, :3] = srgb_to_linear(np.clip(colors, 0, 1))
-    path.write_bytes(glb(mesh, {"NORMAL": _unit(mesh.normals), "COLOR_0": linear}, up))
+    path.write_bytes(glb(mesh, {"NORMAL": unit_normals(mesh.normals), "COLOR_0": linear}, up))
 
 
 def write_textured_glb(
-    path: Path, mesh: Mesh, uvs: np.ndarray, picture: np.ndarray, up: UpDirection = UpAxis.Y
+    path: Path, mesh: Mesh, uvs: np.ndarray, tangents: np.ndarray, material: PbrMaterial, up: UpDirection = UpAxis.Y
 ) -> None:
-    """Write a mesh with a texture as binary glTF 2.0.
+    """Write a mesh with a textured material as binary glTF 2.0.
 
-    uvs: [V,2] in 0..1 from the upper left corner of `picture` [H,W,3] uint8, sRGB as glTF wants it, stored without
-    loss. See `glb`; the other arguments and errors as of `write_ply`.
+    uvs: [V,2] in 0..1 from the upper left corner of the material's pictures. tangents: [V,4], unit, with the sign of
+    the bitangent. See `glb`; the other arguments and errors as of `write_ply`.
     """
+    check_mesh(mesh)
+    for name, array, columns in (("uvs", uvs, 2), ("tangents", tangents, 4)):
+        if array.shape != (len(mesh.vertices), columns):
+            expected = f"[V={len(mesh.vertices)}, {columns}]"
+            raise MeshError(f"mesh export: {name}: expected {expected}, got {list(array.shape)}")
+    attributes = {
+        "NORMAL": unit_normals(mesh.normals),
+        "TANGENT": tangents.astype("<f4"),
+        "TEXCOORD_0": uvs.astype("<f4"),
+    }
+    path.write_bytes(glb(mesh, attributes, up, material))
+
+
+def png_bytes(picture: np.ndarray) -> bytes:
+    """Return a picture [H,W] or [H,W,3] uint8 as the bytes of a PNG file."""
     import cv2  # late: training needs no OpenCV
 
-    check_mesh(mesh)
-    if uvs.shape != (len(mesh.vertices), 2):
-        raise MeshError(f"mesh export: uvs: expected [V={len(mesh.vertices)}, 2], got {list(uvs.shape)}")
-    _, png = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
-    attributes = {"NORMAL": _unit(mesh.normals), "TEXCOORD_0": uvs.astype("<f4")}
-    path.write_bytes(glb(mesh, attributes, up, png.tobytes()))
+    _, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1] if picture.ndim == 3 else picture))
+    return data.tobytes()
 
 
-def _unit(normals: np.ndarray) -> np.ndarray:
+def unit_normals(normals: np.ndarray) -> np.ndarray:
     """Return unit normals, little-endian float32; (0, 0, 1) where folded faces leave none."""
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(lengths > 1e-6, normals / np.maximum(lengths, 1e-6), [[0.0, 0.0, 1.0]]).astype("<f4")

@@ -1,4 +1,4 @@
-"""The meshes of a run: with vertex colours, and with a texture."""
+"""The meshes of a run: the full surface with vertex colours, and a smaller one with a texture."""
 
 from __future__ import annotations
 
@@ -9,18 +9,23 @@ import numpy as np
 
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.steps.step import StepReport
+from mgsr.mesh.unwrap import UnwrappedMesh
 from mgsr.shading.light_estimate import LightKind
+from mgsr.shading.material import Material
 
 
 @dataclass(frozen=True, eq=False)
-class TexturedMesh(Mesh):
-    """A mesh with a texture. A vertex on several charts of the texture is repeated for each.
+class TexturedMesh(UnwrappedMesh):
+    """An unwrapped mesh with a physically based material (metallic and roughness, as in glTF).
 
-    uvs [V,2]: float32 texture coordinates, 0..1 from the upper left corner. picture [S,S,3]: the texture, uint8 sRGB.
+    base_color [H,W,3]: uint8 sRGB. normal_map [H,W,3]: uint8, tangent space, 0..255 for -1..1. occlusion [H,W]: uint8,
+    the visible share of the sky. material: what is the same on the whole surface.
     """
 
-    uvs: np.ndarray
-    picture: np.ndarray
+    base_color: np.ndarray
+    normal_map: np.ndarray
+    occlusion: np.ndarray
+    material: Material
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,14 +34,13 @@ class ReconstructedMesh(Mesh):
 
     vertices are float64, and faces int64 and outward. colors [V,3]: float32 sRGB 0..1. light: the kind of light in the
     photographs. start_kept: whether the surface on which training began replaced the trained one. steps: the reports of
-    the finishing steps, by name. textured: the same surface with a texture, None unless requested.
+    the finishing steps, by name.
     """
 
     colors: np.ndarray
     light: LightKind = LightKind.UNKNOWN
     start_kept: bool = False
     steps: Mapping[str, StepReport] = field(default_factory=dict)
-    textured: TexturedMesh | None = None
 
     def with_report(self, light: LightKind, start_kept: bool, steps: Mapping[str, StepReport]) -> ReconstructedMesh:
         """Return the mesh with the given light, choice of surface and step reports."""

@@ -1,186 +1,84 @@
-"""Texturing of the mesh: xatlas unfolds the surface, and the views give the texels' colours."""
+"""The surface as a model for viewers and games: decimated, unwrapped, and textured from the full surface."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from importlib.util import find_spec
 
-import cv2
 import numpy as np
 
-from mgsr.config import MeshConfig
+from mgsr.config import MeshConfig, OutputConfig
 from mgsr.config.expert import ColorOptions
-from mgsr.errors import MeshError
-from mgsr.geometry.decimate import decimate
+from mgsr.data.images import linear_to_srgb, srgb_to_linear, to_uint8
+from mgsr.geometry.decimate import coarser, decimate
+from mgsr.geometry.displace import diffuse
 from mgsr.geometry.mesh import Mesh
-from mgsr.geometry.raycast import RayCaster, RayHits
-from mgsr.mesh.colors import seen_colors
+from mgsr.mesh.baking import OPPOSED, bake_colors, bake_normals, find_texels
 from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
+from mgsr.mesh.unwrap import unwrap
 from mgsr.mesh.views import SurfaceView
+from mgsr.shading.ambient_occlusion import trace_hemispheres
+from mgsr.shading.material import MATTE, Material
+from mgsr.shading.static_light import REACH, static_irradiance
 
-# Texels between two charts. They take the nearest chart's colours, so that neither bilinear sampling nor mipmaps mix in
-# a background.
-_PADDING = 4
-# Texels in a batch, to bound the memory for all views' samples.
-_TEXELS_AT_ONCE = 1 << 19
-_ROWS_AT_ONCE = 256
-
-
-def require_unfolding() -> None:
-    """Check that the optional package xatlas is installed, so that a run fails before training.
-
-    Raises MeshError if it is not.
-    """
-    if find_spec("xatlas") is None:
-        raise MeshError("output.texture: unfolding the surface needs the package xatlas: pip install 'mgsr[worker]'")
+SKY_EDGE = 2.0  # pixels; edge length of the mesh on which occlusion and shading are computed
+SKY_FACES = 50_000  # most faces of that mesh
 
 
 def texture_mesh(
-    mesh: ReconstructedMesh,
+    full: ReconstructedMesh,
     views: Sequence[SurfaceView],
-    side: int,
-    max_faces: int | None,
+    pixel: float,
+    output: OutputConfig,
     config: MeshConfig,
+    shaded: bool = True,
+    material: Material = MATTE,
     threads: int | None = None,
     options: ColorOptions = ColorOptions(),
 ) -> TexturedMesh:
-    """Reduce the mesh to `max_faces`, and compute its texture of side x side texels.
+    """Reduce the full surface to `output.faces`, unwrap it, and bake its maps.
 
-    mesh, views: in one frame. max_faces: None keeps all faces. Each texel blends the views that see its point, as in
-    `seen_colors`, but visibility comes from ray casting the mesh, and pixels at occlusion edges do not count. A texel
-    that no view sees takes its colour from the mesh's vertices.
-
-    Raises MeshError if xatlas is not installed.
+    full, views: in one frame. pixel: the size of the photographs' pixels on the surface, in its unit, which a texel
+    gets unless `output.texture` gives the number of texels. A metal's base colour is its tint; others blend the views'
+    colours, as in `seen_colors`. shaded: whether these colours contain the shading of static light, which is then
+    divided out.
     """
-    require_unfolding()
-    plain = Mesh(mesh.vertices, mesh.faces)
-    if max_faces is not None:
-        plain = decimate(plain, max_faces)
-    origin, corners, uvs = _unfold(plain, side)
-    blank = np.zeros((side, side, 3), np.uint8)
-    unfolded = TexturedMesh(plain.vertices[origin], corners, uvs, blank).with_normals(plain.normals[origin])
-    visible = [_with_depth_of(plain.caster, view, options.occlusion_edge) for view in views]
-    picture = _paint(unfolded, mesh, visible, config, threads, options)
-    return replace(unfolded, picture=picture).with_normals(unfolded.normals)
+    unwrapped = unwrap(_reduced(full, output.faces), pixel, output.texture)
+    texels = find_texels(unwrapped, full)
+    colors = bake_colors(texels, full, views, config, threads, options)
+    coarse = decimate(coarser(Mesh(full.vertices, full.faces), SKY_EDGE * pixel), SKY_FACES)
+    seen = trace_hemispheres(coarse, pixel)
+    at = coarse.prolongation(texels.points)
+    if material.tint is not None:
+        colors = np.broadcast_to(linear_to_srgb(material.tint), colors.shape)
+    elif shaded:
+        around = srgb_to_linear(full.prolongation(coarse.vertices) @ full.colors)
+        light = at @ static_irradiance(coarse, around, seen)
+        colors = linear_to_srgb(np.clip(srgb_to_linear(colors) / light, 0, 1))
+    textured: TexturedMesh = TexturedMesh(
+        unwrapped.vertices,
+        unwrapped.faces,
+        unwrapped.uvs,
+        unwrapped.tangents,
+        unwrapped.size,
+        base_color=texels.picture(_bytes(colors)),
+        normal_map=texels.picture(_bytes(bake_normals(texels, unwrapped) / 2 + 0.5)),
+        occlusion=texels.picture(_bytes(at @ diffuse(seen.visibility[:, None], coarse.laplacian, REACH)[:, 0])),
+        material=material,
+    ).with_normals(unwrapped.normals)
+    return textured
 
 
-def _unfold(mesh: Mesh, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Unfold the surface into texture charts.
-
-    Returns the original vertex [W] of each new vertex, the faces [F,3] of new vertices, and the new vertices' texture
-    coordinates [W,2], 0..1.
-    """
-    import xatlas  # late: only textures need it
-
-    vertices, faces = mesh.vertices, mesh.faces
-    middle = (vertices.max(0) + vertices.min(0)) / 2
-    atlas = xatlas.Atlas()
-    atlas.add_mesh((vertices - middle).astype(np.float32), faces.astype(np.uint32))
-    pack = xatlas.PackOptions()
-    pack.resolution, pack.padding, pack.bilinear = side, _PADDING, True
-    atlas.generate(xatlas.ChartOptions(), pack)
-    origin, corners, uvs = atlas[0]
-    return origin.astype(np.int64), corners.astype(np.int64), uvs
+def _reduced(full: ReconstructedMesh, faces: int | None) -> Mesh:
+    """Return the surface with at most `faces` faces, None for all, and with the full surface's normals."""
+    if faces is None or len(full.faces) <= faces:
+        return Mesh(full.vertices, full.faces).with_normals(full.normals)
+    reduced = decimate(Mesh(full.vertices, full.faces), faces)
+    normals = full.prolongation(reduced.vertices) @ full.normals
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    alike = (normals * reduced.normals).sum(axis=1, keepdims=True) > OPPOSED
+    return reduced.with_normals(np.where(alike, normals, reduced.normals).astype(np.float32))
 
 
-def _with_depth_of(caster: RayCaster, view: SurfaceView, edge: float) -> SurfaceView:
-    """Replace a view's depth by the mesh's, and mask out pixels at occlusion edges, which mix two colours."""
-    hits = caster.cast(view.camera)
-    inside = _inside(hits, view, edge)
-    return replace(view, depth=hits.depth, mask=inside if view.mask is None else inside & view.mask)
-
-
-def _inside(hits: RayHits, view: SurfaceView, edge: float) -> np.ndarray:
-    """Return the pixels [H,W] bool that show the surface away from its occlusion edges.
-
-    edge: the pixel footprints by which the depths around a pixel may differ; more is an occlusion edge.
-    """
-    around = np.ones((3, 3), np.uint8)
-    nearest, farthest = cv2.erode(hits.depth, around), cv2.dilate(hits.depth, around)
-    inside: np.ndarray = (nearest > 0) & (farthest - nearest <= edge * hits.depth / view.camera.K[0, 0])
-    return inside
-
-
-def _paint(
-    unfolded: TexturedMesh,
-    mesh: ReconstructedMesh,
-    views: Sequence[SurfaceView],
-    config: MeshConfig,
-    threads: int | None,
-    options: ColorOptions,
-) -> np.ndarray:
-    """Return the texture [S,S,3] uint8 sRGB.
-
-    Texels whose centres lie on a chart take their colours from the views; the others take the nearest such texel's.
-    """
-    side = len(unfolded.picture)
-    tolerance = config.consistency or options.tolerance
-    texels, faces, shares = _charted(unfolded, side)
-    corners = unfolded.faces[faces]
-    plain = _VertexColors(mesh)
-    painted = np.zeros((len(texels), 3), np.float32)
-    for start in range(0, len(texels), _TEXELS_AT_ONCE):
-        part = slice(start, start + _TEXELS_AT_ONCE)
-        points = _blend(unfolded.vertices, corners[part], shares[part])
-        normals = _blend(unfolded.normals, corners[part], shares[part])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-        colors, seen = seen_colors(points, normals, views, config.min_alpha, tolerance, threads, options)
-        colors[~seen] = plain.at(points[~seen])
-        painted[part] = colors
-    picture = np.zeros((side * side, 3), np.uint8)
-    picture[texels] = np.rint(np.clip(painted, 0, 1) * 255)
-    return _fill_nearest(picture.reshape(side, side, 3), texels)
-
-
-class _VertexColors:
-    """Interpolation of a mesh's vertex colours."""
-
-    def __init__(self, mesh: ReconstructedMesh) -> None:
-        self._mesh = mesh
-
-    def at(self, points: np.ndarray) -> np.ndarray:
-        """Return the colours [P,3] sRGB 0..1 of the mesh at its nearest points to the points [P,3]."""
-        faces, shares = self._mesh.caster.nearest(points)
-        return _blend(self._mesh.colors, self._mesh.faces[faces], shares)
-
-
-def _charted(unfolded: TexturedMesh, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find the texels whose centres lie on a chart, by ray casting the unfolded surface.
-
-    Returns their flat indices [T] in row order, the face [T] at each, and its barycentric coordinates [T,3] there.
-    """
-    flat = np.zeros((len(unfolded.uvs), 3), np.float32)
-    flat[:, :2] = unfolded.uvs * side
-    caster = Mesh(flat, unfolded.faces).caster
-    texels, faces, shares = [], [], []
-    for top in range(0, side, _ROWS_AT_ONCE):
-        rows, columns = np.mgrid[top : min(top + _ROWS_AT_ONCE, side), :side].astype(np.float32) + 0.5
-        above = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
-        hits = caster.cast_rays(above, np.broadcast_to(np.array([0, 0, -1], np.float32), above.shape))
-        texels.append(np.flatnonzero(hits.mask) + top * side)
-        faces.append(hits.face[hits.mask])
-        shares.append(hits.barycentric[hits.mask])
-    return np.concatenate(texels), np.concatenate(faces), np.concatenate(shares)
-
-
-def _blend(values: np.ndarray, corners: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Interpolate vertex values [V,C] in triangles; corners [P,3]: vertex indices; shares [P,3]: barycentric."""
-    blended: np.ndarray = np.einsum("pkc,pk->pc", values[corners], shares)
-    return blended
-
-
-def _fill_nearest(picture: np.ndarray, texels: np.ndarray) -> np.ndarray:
-    """Fill all other texels of a picture [S,S,3] with the colour of the nearest given texel.
-
-    texels [T]: flat indices of the given texels, in row order. Returns the picture [S,S,3].
-    """
-    if len(texels) == 0:
-        return picture
-    empty = np.ones(picture.shape[:2], np.uint8)
-    empty.ravel()[texels] = 0
-    _, labels = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    sources = np.zeros(labels.max() + 1, np.int64)
-    sources[labels.ravel()[texels]] = texels
-    filled: np.ndarray = picture.reshape(-1, 3)[sources[labels]]
-    return filled
+def _bytes(shares: np.ndarray) -> np.ndarray:
+    """Return values 0..1 as uint8."""
+    return to_uint8(255 * np.clip(shares, 0, 1))

@@ -1,19 +1,26 @@
-"""The surface of the trained branches, in the user's frame."""
+"""The surface of the trained branches and its textured model, in the user's frame."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 
-from mgsr.config import Config
+from mgsr.config import Config, MeshColor
+from mgsr.data.camera import pixel_size
 from mgsr.data.scene import Scene
 from mgsr.gaussians.trained_model import TrainedModel
+from mgsr.geometry.decimate import coarser
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.extract import extract_mesh
-from mgsr.mesh.surface import ReconstructedMesh
+from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.mesh.texture import texture_mesh
 from mgsr.pipeline.rendering import outlined_scene, scene_silhouettes, surface_views
 from mgsr.pipeline.steps import always
+from mgsr.shading.gloss import fit_gloss, mirrorings
+from mgsr.shading.light_estimate import LightKind
+from mgsr.shading.material import MATTE, Material
+
+GLOSS_EDGE = 3.0  # pixels; edge length of the mesh whose vertices the fit of the gloss observes
 
 
 def make_mesh(
@@ -41,11 +48,29 @@ def make_mesh(
         ground=scene.ground,
         expert=config.expert,
     )
-    to_user = scene.user_from_scene.to_user
-    textured = None
-    if config.output.texture is not None:
-        side, faces, colors = config.output.texture, config.output.texture_faces, config.expert.mesh.colors
-        textured = texture_mesh(mesh, views, side, faces, config.mesh, options=colors)
-        textured = textured.in_frame(to_user(textured.vertices))
-    mesh = mesh.in_frame(to_user(mesh.vertices))
-    return replace(mesh, textured=textured).with_normals(mesh.normals)
+    return mesh.in_frame(scene.user_from_scene.to_user(mesh.vertices))
+
+
+def make_textured(model: TrainedModel, scene: Scene, config: Config, mesh: ReconstructedMesh) -> TexturedMesh:
+    """Make the textured model of the surface; both are in the user's frame.
+
+    Its colours come from renders of the training views, as large as the photographs, and a texel is as large as a pixel
+    of the photographs.
+    """
+    frame = scene.user_from_scene
+    full = mesh.in_frame(frame.to_scene(mesh.vertices))
+    at_photographs = replace(config, mesh=replace(config.mesh, view_scale=1.0, extra_views=0))
+    pixel = pixel_size([view.camera for view in scene.train], full.vertices.mean(axis=0))
+    static = all(view.irradiance is None for view in scene.train)
+    views = surface_views(model, scene, at_photographs)
+    shaded = static and config.mesh.color is MeshColor.TRANSMITTED
+    glossy = static and (model.environment_map is not None or mesh.light is LightKind.ENVIRONMENT)
+    material = _fit_material(full, scene, pixel) if glossy else MATTE
+    textured = texture_mesh(full, views, pixel, config.output, config.mesh, shaded, material)
+    return textured.in_frame(frame.to_user(textured.vertices))
+
+
+def _fit_material(full: Mesh, scene: Scene, pixel: float) -> Material:
+    """Return the material of a glossy surface in the scene's frame; pixel: a photograph's pixel size on it."""
+    observed = coarser(Mesh(full.vertices, full.faces), GLOSS_EDGE * pixel)
+    return fit_gloss(mirrorings(observed, scene.train, pixel))

@@ -4,23 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from mgsr.budget.budget import TimeBudget
 from mgsr.config import Config, DataConfig, Exposure, object_box
+from mgsr.data.camera_search import CameraSearch
 from mgsr.data.exposure import evened
+from mgsr.data.find_cameras import with_cameras
+from mgsr.data.find_scene import FoundScene
+from mgsr.data.found_cameras import CameraFolder
 from mgsr.data.masks import with_masks
 from mgsr.data.object_scene import with_object
-from mgsr.data.readers import load_scene
+from mgsr.data.readers import find_capture, load_capture, load_scene
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import origin_notes
 from mgsr.pipeline import result_files
-from mgsr.pipeline.object_files import clear_object, ground_of, require_place_for_masks, write_object
+from mgsr.pipeline.object_files import (
+    clear_object,
+    ground_of,
+    require_place_for_masks,
+    with_found_object,
+    write_object,
+)
 from mgsr.pipeline.progress import Event
+from mgsr.pipeline.result_paths import CAMERAS, OBJECT
 from mgsr.pipeline.run_metadata import scene_line
+from mgsr.pipeline.scene_check import CheckedScene, check_scene, without_flawed
 from mgsr.pipeline.steps import Steps
 from mgsr.pipeline.time_budget import most_points, searches_object
 from mgsr.segmentation.object_masks import FoundObject, NoObject, find_object
@@ -31,21 +44,62 @@ from mgsr.training.background import train_background
 from mgsr.training.exposure import find_exposures
 from mgsr.training.outlines import learned_outlines
 
-LATER = ("exposure", "object", "object_box")  # settings of DataConfig that take effect after the reading
+LATER = ("exposure", "object", "object_box", "check")  # settings of DataConfig that take effect after the reading
 
 
-def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps) -> Scene:
-    """Return the scene, loaded if a path is given; report it, and remove an earlier run's reports from `out`."""
+def take_scene(
+    given: Path | Scene, out: Path | None, config: Config, step: Steps, resume: bool = False
+) -> CheckedScene:
+    """Return the scene, loaded if a path is given, and inspected; remove an earlier run's reports from `out`, if given.
+
+    Where the photographs have no cameras, these are searched for first, and left in `out`. resume: use cameras that are
+    there already, and go on with a search that was interrupted.
+
+    Raises SceneError.
+    """
     if isinstance(given, Scene):
         scene = given
-        result_files.clear_reports(out)
     else:
         with step("load", f"reading {given}"):
-            scene = load_scene(given, config.data, progress=lambda done, total: step.progress(_loading(done, total)))
-            result_files.clear_reports(out)
+            found = find_capture(given, config.data)
+        if found.kind is None:
+            found = _with_cameras(found, out, config, step, resume)
+        elif out is not None and not found.folder.root.resolve().is_relative_to((out / CAMERAS).resolve()):
+            CameraFolder(out / CAMERAS).clear()  # an earlier run's, of other photographs
+        with step.clock.step("load"):
+            scene = load_capture(found, config.data, partial(_tell_loading, step))
+    if out is not None:
+        result_files.clear_reports(out)
     for text in (scene_line(scene), *scene.notes, *origin_notes(scene.user_from_scene, config.output.scale)):
         step.progress(Event("load", text))
-    return scene
+    return check_scene(scene, config, step)
+
+
+def _with_cameras(found: FoundScene, out: Path | None, config: Config, step: Steps, resume: bool) -> FoundScene:
+    """Search for the cameras of photographs, as a step of the run."""
+    text = "finding the cameras"
+    with step("cameras", f"{found.name} has no cameras: {text}"):
+        search = CameraSearch(
+            folder=None if out is None else out / CAMERAS,
+            resume=resume,
+            seed=config.seed,
+            say=lambda line: step.progress(Event("cameras", line)),
+            tell=step.share("cameras", text),
+        )
+        return with_cameras(found, config.data, search)
+
+
+def _tell_loading(step: Steps, done: int, total: int) -> None:
+    step.progress(Event("load", f"read {done} of {total} photographs", done=done / total))
+
+
+def load_again(path: Path, out: Path, config: Config) -> Scene:
+    """Load the scene of the results in `out` as the run did, with the cameras that it found where there are none.
+
+    Raises SceneError, also where the cameras are missing.
+    """
+    search = CameraSearch(folder=out / CAMERAS, known_only=True, seed=config.seed)
+    return without_flawed(load_scene(path, config.data, search=search), config.data)
 
 
 def as_read(scene: Scene, config: Config) -> Config:
@@ -69,19 +123,26 @@ def as_read(scene: Scene, config: Config) -> Config:
     return replace(config, data=DataConfig(**chosen))
 
 
-def _loading(done: int, total: int) -> Event:
-    return Event("load", f"read {done} of {total} photographs", done=done / total)
-
-
 def preprocess(
-    scene: Scene, config: Config, out: Path, step: Steps, budget: TimeBudget | None = None
+    scene: Scene,
+    config: Config,
+    out: Path,
+    step: Steps,
+    budget: TimeBudget | None = None,
+    reuse_object: bool = False,
 ) -> tuple[Scene, StartingPoints]:
     """Preprocess a scene: even its exposures, find its object and its light, and choose the starting points.
 
     Returns the scene and its starting points. The scene has its photographs at a common exposure, masks where an object
     is requested and found, and a flash's irradiance where there is one. The findings are written to `out`.
+
+    reuse_object: take an object's masks from `out`, if they are there. Raises MgsrError where these do not fit the
+    photographs.
     """
     searched = searches_object(scene, config)
+    kept = searched and reuse_object and (out / OBJECT).is_file()
+    if kept:
+        scene, searched = _with_kept_object(out, scene, step), False
     if searched:
         require_place_for_masks(out)
     masks = _learn_masks(scene, config, step)
@@ -92,7 +153,8 @@ def preprocess(
         return starting_points(masked, count, config.seed, progress, background, config.expert)
 
     result_files.clear_findings(out)
-    clear_object(out)
+    if not kept:
+        clear_object(out)
     with step("start", "choosing starting points"):
         start = points(scene, "start", "choosing starting points")
     if config.data.exposure is not Exposure.KEEP:
@@ -100,6 +162,14 @@ def preprocess(
     if searched:
         scene, start = _object_alone(scene, start, config, out, step, points)
     return _as_lit(scene, start.lighting, config, out, step), start
+
+
+def _with_kept_object(out: Path, scene: Scene, step: Steps) -> Scene:
+    """Return the scene with the masks of the object that an earlier run left in `out`. Raises MgsrError."""
+    scene = with_found_object(out, scene)
+    note = "the object's masks are those that an earlier run found"
+    step.progress(Event("object", note))
+    return replace(scene, notes=(*scene.notes, note))
 
 
 def _at_one_exposure(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from mgsr.inspection.findings import Inspection
 from mgsr.training.progress import Progress
 
 
@@ -12,15 +13,16 @@ from mgsr.training.progress import Progress
 class Event:
     """One event of a run.
 
-    step: load, start, plan, train, export, mesh, evaluate, render or report; text: one line for the user; training: the
-    training's progress, in events of the training; done: the completed share 0..1 of a long step, in events during that
-    step.
+    step: load, cameras, check, start, plan, train, export, mesh, evaluate, model, render or report; text: one line for
+    the user; training: the training's progress, in events of the training; done: the completed share 0..1 of a long
+    step, in events during that step; inspection: what the step check found, in its last event.
     """
 
     step: str
     text: str
     training: Progress | None = None
     done: float | None = None
+    inspection: Inspection | None = None
 
 
 EventCallback = Callable[[Event], None]

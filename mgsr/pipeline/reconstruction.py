@@ -38,7 +38,7 @@ from mgsr.shading.lighting import Lighting
 class Reconstruction:
     """A finished run's results, in the capture's frame and unit.
 
-    mesh: the surface. Its `textured` is None; `paths.mesh_textured` has the texture. model: the 2D branch, the 3D
+    mesh: the surface; `paths.model_glb` has it with a texture. model: the 2D branch, the 3D
     branch, and the environment map that a shiny surface reflects; each may be None. Means and the reflector are
     relative to `origin` [3] float64, so positions in the frame are `means + origin`. The origin is zero unless the
     capture lies far from its frame's origin. flash: the lamp beside the lens and the surface that it lights; None where

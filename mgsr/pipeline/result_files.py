@@ -20,30 +20,33 @@ from mgsr.errors import MgsrError, in_short
 from mgsr.export.environment_map import StoredEnvironmentMap, load_environment_map, write_environment_map
 from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.export.flash import load_flash, write_flash
-from mgsr.export.gltf import UpAxis, UpDirection
-from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
+from mgsr.export.gltf import PbrMaterial, UpAxis, UpDirection
+from mgsr.export.mesh_files import png_bytes, write_ply, write_textured_glb
 from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number, read_origin
+from mgsr.export.radiance_map import write_radiance_map
 from mgsr.export.renders import write_view
 from mgsr.export.splats import load_splats, write_splats
+from mgsr.export.usdz import write_usdz
 from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.reflector import Reflector
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.trained_model import TrainedModel
-from mgsr.mesh.surface import ReconstructedMesh
+from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.pipeline.atomic_write import atomic_write
 from mgsr.pipeline.rendering import RenderedView
 from mgsr.pipeline.result_paths import (
     BACKGROUND,
+    ENVIRONMENT,
     ENVIRONMENT_MAP,
     EXPOSURES,
     FLASH,
     GAUSSIANS,
     MESH,
-    MESH_GLB,
     MESH_OBJ,
-    MESH_TEXTURED,
+    MODEL_GLB,
+    MODEL_USDZ,
     RENDERS,
     REPORT,
     REPORT_HTML,
@@ -197,26 +200,40 @@ def _read_environment_map(path: Path, user_from_scene: Similarity) -> Environmen
     return EnvironmentMap.of(stored.maps, stored.bounce, reflector)
 
 
-def write_mesh(out: Path, mesh: ReconstructedMesh, scene: Scene, output: OutputConfig) -> None:
-    """Write mesh.ply and mesh.glb, and mesh.obj and mesh_textured.glb if they are asked for.
+def write_mesh(out: Path, mesh: ReconstructedMesh, output: OutputConfig) -> None:
+    """Write mesh.ply, and mesh.obj if it is asked for; otherwise an earlier run's is removed.
 
-    The mesh is in the user's frame; lengths are in the output's unit. Files that are not asked for are removed.
+    The mesh is in the user's frame; lengths are in the output's unit.
     """
     scaled = mesh.in_frame(mesh.vertices * output.scale)
-    up = _up(scene, output)
     with atomic_write(out / MESH) as path:
         write_ply(path, scaled, mesh.colors, output.scale)
-    with atomic_write(out / MESH_GLB) as path:
-        write_glb(path, scaled, mesh.colors, up)
-    for name in (MESH_OBJ, MESH_TEXTURED):
+    if not output.obj:
+        (out / MESH_OBJ).unlink(missing_ok=True)
+        return
+    with atomic_write(out / MESH_OBJ) as path:
+        write_obj(path, scaled, mesh.colors)
+
+
+def write_textured(out: Path, textured: TexturedMesh, scene: Scene, output: OutputConfig) -> None:
+    """Write model.glb, y up, with model.usdz if it is asked for, and environment.exr if the material has a light.
+
+    The mesh is in the user's frame; lengths are in the output's unit. An earlier run's files are removed.
+    """
+    scaled = textured.in_frame(textured.vertices * output.scale)
+    base_color, normal, occlusion = map(png_bytes, (textured.base_color, textured.normal_map, textured.occlusion))
+    constants, up = textured.material, _up(scene, output)
+    material = PbrMaterial(base_color, normal, occlusion, constants.roughness, constants.metallic)
+    with atomic_write(out / MODEL_GLB) as path:
+        write_textured_glb(path, scaled, scaled.uvs, scaled.tangents, material, up)
+    for name in (MODEL_USDZ, ENVIRONMENT):
         (out / name).unlink(missing_ok=True)
-    if output.obj:
-        with atomic_write(out / MESH_OBJ) as path:
-            write_obj(path, scaled, mesh.colors)
-    if mesh.textured is not None:
-        textured = mesh.textured.in_frame(mesh.textured.vertices * output.scale)
-        with atomic_write(out / MESH_TEXTURED) as path:
-            write_textured_glb(path, textured, textured.uvs, textured.picture, up)
+    if output.usdz:
+        with atomic_write(out / MODEL_USDZ) as path:
+            write_usdz(path, scaled, scaled.uvs, material, up)
+    if constants.light is not None:
+        with atomic_write(out / ENVIRONMENT) as path:
+            write_radiance_map(path, constants.light, up)
 
 
 def _up(scene: Scene, output: OutputConfig) -> UpDirection:

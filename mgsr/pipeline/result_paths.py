@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 MESH = "mesh.ply"
-MESH_GLB = "mesh.glb"
 MESH_OBJ = "mesh.obj"
-MESH_TEXTURED = "mesh_textured.glb"
+MODEL_GLB = "model.glb"
+MODEL_USDZ = "model.usdz"
+ENVIRONMENT = "environment.exr"
 SURFELS = "splats_2d.ply"
 GAUSSIANS = "splats_3d.ply"
 BACKGROUND = "splats_background.ply"
@@ -21,7 +22,9 @@ RENDERS = "renders/test"
 REPORT = "report.json"
 REPORT_HTML = "report.html"
 LOG = "log.txt"
+ESTIMATE = "estimate.json"
 CHECKPOINT = "checkpoint"
+CAMERAS = "cameras"
 
 
 @dataclass(frozen=True)
@@ -37,19 +40,24 @@ class ResultPaths:
         return self.folder / MESH
 
     @property
-    def mesh_glb(self) -> Path:
-        """mesh.glb, y up."""
-        return self.folder / MESH_GLB
-
-    @property
     def mesh_obj(self) -> Path:
         """mesh.obj, if it was asked for."""
         return self.folder / MESH_OBJ
 
     @property
-    def mesh_textured(self) -> Path:
-        """mesh_textured.glb, if it was asked for."""
-        return self.folder / MESH_TEXTURED
+    def model_glb(self) -> Path:
+        """model.glb, the textured model, y up."""
+        return self.folder / MODEL_GLB
+
+    @property
+    def model_usdz(self) -> Path:
+        """model.usdz, if it was asked for."""
+        return self.folder / MODEL_USDZ
+
+    @property
+    def environment(self) -> Path:
+        """environment.exr, the light that a glossy surface mirrors, in the frame of model.glb."""
+        return self.folder / ENVIRONMENT
 
     @property
     def surfels(self) -> Path:
@@ -115,3 +123,8 @@ class ResultPaths:
     def checkpoint(self) -> Path:
         """checkpoint, from which a run goes on."""
         return self.folder / CHECKPOINT
+
+    @property
+    def cameras(self) -> Path:
+        """cameras, where photographs had none: the found ones, as COLMAP has them, and the frames of a video."""
+        return self.folder / CAMERAS

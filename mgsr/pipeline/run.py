@@ -10,15 +10,16 @@ from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import about_origin, origin_of_frame
+from mgsr.export.usdz import require_usd
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.geometry.mesh import Mesh
+from mgsr.inspection.findings import Inspection
 from mgsr.mesh.surface import ReconstructedMesh
-from mgsr.mesh.texture import require_unfolding
 from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline import result_files
 from mgsr.pipeline.device import Device, pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
-from mgsr.pipeline.meshing import make_mesh
+from mgsr.pipeline.meshing import make_mesh, make_textured
 from mgsr.pipeline.object_files import mask_agreement
 from mgsr.pipeline.preprocess import as_read, preprocess, take_scene
 from mgsr.pipeline.progress import Event, EventCallback, ignore
@@ -27,7 +28,7 @@ from mgsr.pipeline.report_pictures import SurfaceDrawings, draw_surface, report_
 from mgsr.pipeline.result_paths import CHECKPOINT, REPORT
 from mgsr.pipeline.run_metadata import run_report
 from mgsr.pipeline.steps import StepClock, Steps, StopCheck, always, never
-from mgsr.pipeline.time_budget import budget_facts, fitted_scene, make_budget, plan_line, planned_config
+from mgsr.pipeline.time_budget import budget_facts, fitted_scene, learn_search, make_budget, plan_line, planned_config
 from mgsr.report.data import ReportData
 from mgsr.start.points import StartingPoints
 from mgsr.training.progress import TrainResult
@@ -43,33 +44,38 @@ def run_scene(
     progress: EventCallback = ignore,
     should_stop: StopCheck = never,
     started_at: float | None = None,
+    reuse_object: bool = False,
 ) -> Path:
     """Reconstruct a scene into the folder `out`; return the path of report.json, which is written last.
 
     given: the scene, or the path that `load_scene` takes. resume: go on from the checkpoint in `out`, if there is one.
     should_stop: called between iterations and between steps. started_at: the value of time.perf_counter() from which a
-    time budget counts (config.time_budget); None is now.
+    time budget counts (config.time_budget); None is now. reuse_object: where an object is looked for, take the
+    masks that a run with the same settings of `data` left in `out`, if there are any.
 
     Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, GpuError, and Cancelled once should_stop
     says so (the checkpoint then holds the training's state).
     """
-    if config.output.texture is not None:
-        require_unfolding()
+    if config.output.usdz:
+        require_usd()
     if isinstance(given, Scene):
         config = as_read(given, config)
     chosen = pick_device(device)
     since = StepClock(started_at)
     step = Steps(StepClock(), progress, should_stop)
     budget = make_budget(config, lambda: since.total, chosen, out / CHECKPOINT if resume else None)
-    scene = take_scene(given, out, config, step)
+    checked = take_scene(given, out, config, step, resume)
+    scene = checked.scene
     if budget is not None:
+        if not resume:
+            learn_search(scene, budget, step.clock)
         scene = fitted_scene(scene, budget, config, step.clock)
-    scene, start = preprocess(scene, config, out, step, budget)
+    scene, start = preprocess(scene, config, out, step, budget, reuse_object)
     if budget is not None:
         with step("plan", "timing an iteration of each stage"):
             config = planned_config(scene, start, budget, config, chosen, step.clock)
         progress(Event("plan", f"time budget of {plan_line(budget)}"))
-    run = _Run(scene, start, config, out, step, chosen, budget)
+    run = _Run(scene, start, config, out, step, chosen, budget, checked.inspection)
     training = _TrainingStep(run, resume)
     trained = training.run(before_surface=True)
     if budget is not None:
@@ -97,7 +103,7 @@ def train_only(
         raise ConfigError("time_budget: training alone keeps to none; use `mgsr run`, or a preset")
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
-    scene = take_scene(scene_path, out, config, step)
+    scene = take_scene(scene_path, out, config, step, resume).scene
     scene, start = preprocess(scene, config, out, step)
     return _TrainingStep(_Run(scene, start, config, out, step, chosen), resume).run(before_surface=True)
 
@@ -113,6 +119,7 @@ class _Run:
     step: Steps
     device: Device
     budget: TimeBudget | None = None
+    inspection: Inspection | None = None
 
     def model(self, trained: TrainResult) -> TrainedModel:
         """Return the trained model on the device, with the background of a found object."""
@@ -135,7 +142,7 @@ def _make_surface(run: _Run, trained: TrainResult) -> _Surface:
         begun_on = run.start.surface if run.scene.masked else None
         go_on = always if run.budget is None else run.budget.go_on
         mesh = make_mesh(run.model(trained), run.scene, run.config, go_on, begun_on)
-        result_files.write_mesh(run.out, mesh, run.scene, run.config.output)
+        result_files.write_mesh(run.out, mesh, run.config.output)
     with run.step("evaluate", "measuring the surface"):
         truth = find_truth(run.scene)
         return _Surface(mesh, surface_scores(mesh, truth, run.scene), _draw(mesh, truth, run.scene))
@@ -152,8 +159,11 @@ def _set_reflector(run: _Run, training: _TrainingStep, trained: TrainResult, mes
 
 
 def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
-    """Render and measure the test views, and write the report; return its path."""
+    """Texture the model, render and measure the test views, and write the report; return its path."""
     scene, clock = run.scene, run.step.clock
+    with run.step("model", "texturing the model"):
+        textured = make_textured(run.model(trained), scene, run.config, surface.mesh)
+        result_files.write_textured(run.out, textured, scene, run.config.output)
     with run.step("render", f"rendering and measuring {len(scene.test)} test views"):
         rendered = list(render_views(run.model(trained), scene.test, run.config))
         result_files.write_renders(run.out, rendered, scene, run.config.output)
@@ -166,6 +176,7 @@ def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
     budget = None if run.budget is None else budget_facts(run.budget, clock.steps)
     given = (scene, run.start, run.config, run.device)
     report = run_report(*given, trained, surface.mesh, scores, surface.scores, clock, budget)
+    report = replace(report, material=textured.material, inspection=run.inspection)
     result_files.write_reports(run.out, report, pictures)
     run.step.progress(Event("report", result_line(report)))
     return run.out / REPORT

@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from mgsr.config import Config
-from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
+from mgsr.export.usdz import require_usd
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.device import pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
-from mgsr.pipeline.meshing import make_mesh
+from mgsr.pipeline.meshing import make_mesh, make_textured
 from mgsr.pipeline.object_files import with_found_object
+from mgsr.pipeline.preprocess import load_again
 from mgsr.pipeline.rendering import render_views, rendered_scene
 from mgsr.pipeline.result_files import (
     as_lit,
@@ -21,6 +22,7 @@ from mgsr.pipeline.result_files import (
     read_models,
     write_mesh,
     write_renders,
+    write_textured,
 )
 from mgsr.pipeline.result_paths import MESH
 from mgsr.pipeline.scene_folder import require_new_folder, write_scene_folder
@@ -33,12 +35,16 @@ def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> R
 
     Raises ConfigError, SceneError, GpuError, MeshError, and MgsrError where there are no splats.
     """
+    if config.output.usdz:
+        require_usd()
     chosen = pick_device(device)
-    scene = with_found_object(out, at_known_exposures(out, load_scene(path, config.data)))
+    scene = with_found_object(out, at_known_exposures(out, load_again(path, out, config)))
     # The run compared its surface with the starting surface, which the same seed reproduces.
     begun_on = starting_points(scene, 1, config.seed, expert=config.expert).surface if scene.masked else None
-    mesh = make_mesh(read_models(out, scene.user_from_scene).to(chosen.torch), scene, config, start=begun_on)
-    write_mesh(out, mesh, scene, config.output)
+    model = read_models(out, scene.user_from_scene).to(chosen.torch)
+    mesh = make_mesh(model, scene, config, start=begun_on)
+    write_mesh(out, mesh, config.output)
+    write_textured(out, make_textured(model, as_lit(out, scene, config), config, mesh), scene, config.output)
     return mesh
 
 
@@ -51,7 +57,7 @@ def render_again(path: Path, out: Path, config: Config, device: str = "auto", as
     chosen = pick_device(device)
     if as_scene is not None:
         require_new_folder(as_scene)
-    scene = as_lit(out, with_found_object(out, load_scene(path, config.data)), config)
+    scene = as_lit(out, with_found_object(out, load_again(path, out, config)), config)
     models = read_models(out, scene.user_from_scene).to(chosen.torch)
     if as_scene is not None:
         write_scene_folder(as_scene, rendered_scene(models, scene, config), config.output.scale)
@@ -65,7 +71,7 @@ def score_again(path: Path, out: Path, config: Config, device: str = "auto") -> 
     Raises ConfigError, SceneError, GpuError, and MgsrError where there are no splats.
     """
     chosen = pick_device(device)
-    scene = as_lit(out, with_found_object(out, at_known_exposures(out, load_scene(path, config.data))), config)
+    scene = as_lit(out, with_found_object(out, at_known_exposures(out, load_again(path, out, config))), config)
     models = read_models(out, scene.user_from_scene).to(chosen.torch)
     behind = scene.backdrop(config.train.background)
     scores = image_scores(list(render_views(models, scene.test, config)), scene, behind.color).to_json()

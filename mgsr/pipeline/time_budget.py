@@ -7,9 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from mgsr.budget.budget import TimeBudget
-from mgsr.budget.costs import Facts, load_cost, start_cost
+from mgsr.budget.costs import Facts, cameras_cost, load_cost, start_cost
 from mgsr.budget.line import HIGHEST
 from mgsr.config import PRESETS, Config, Object
+from mgsr.data.find_cameras import PHOTOGRAPHS
 from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene
 from mgsr.metrics.truth import TRUTH
@@ -53,6 +54,14 @@ def searches_object(scene: Scene, config: Config) -> bool:
     """Return whether a run looks for an object in the scene, which as it was read has no masks."""
     asked = config.data.object is Object.AUTO or config.data.object_box is not None
     return asked and not scene.masked and not scene.backdrop(config.train.background).plain
+
+
+def learn_search(scene: Scene, budget: TimeBudget, clock: StepClock) -> None:
+    """Let the budget learn this machine's speed from the time of a whole search for cameras, if there was one."""
+    if "cameras" in clock.steps and scene.format == PHOTOGRAPHS:
+        views = [*scene.train, *scene.test]
+        pixels = sum(view.camera.width * view.camera.height for view in views) / len(views)
+        budget.learn(cameras_cost(len(views), pixels, frames=False), clock.steps["cameras"])
 
 
 def fitted_scene(scene: Scene, budget: TimeBudget, config: Config, clock: StepClock) -> Scene:

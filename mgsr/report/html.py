@@ -14,6 +14,7 @@ from mgsr.report.charts import Axes, Boundary, Series, line_chart, short_number
 from mgsr.report.data import ReportData, finite
 from mgsr.report.decisions import stage_name, with_decisions
 from mgsr.report.encode import data_address
+from mgsr.report.inspection import camera_map, finding_rows
 from mgsr.report.pictures import RAMP, Picture, ReportPictures, SurfacePictures, TestViewPictures
 from mgsr.report.scores import scores_told
 from mgsr.report.style import CSS, SCRIPT
@@ -24,6 +25,7 @@ COLUMNS = {1: "two", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "f
 STEPS = (
     "total",
     "load",
+    "check",
     "outlines",
     "start",
     "exposures",
@@ -34,6 +36,7 @@ STEPS = (
     "export",
     "mesh",
     "evaluate",
+    "model",
     "render",
     "report",
 )
@@ -58,6 +61,7 @@ def report_page(data: ReportData, pictures: ReportPictures) -> str:
         _more_views(pictures.views),
         _curves(data),
         _scores(data),
+        _inspection(data),
         _decisions(data),
         _settings(data),
     )
@@ -341,6 +345,17 @@ def _decisions(data: ReportData) -> str:
     rows = [(each.what, each.choice, each.why) for each in with_decisions(data).decisions]
     table = _worded_table(("What", "Choice", "Why"), rows)
     return f"<section><h2>What was decided, and why</h2>{table}</section>" if rows else ""
+
+
+def _inspection(data: ReportData) -> str:
+    inspection = data.other.get("inspection")
+    if not inspection:
+        return ""
+    rows = finding_rows(inspection)
+    table = _worded_table(("Severity", "How bad", "What"), rows) if rows else "<p>Nothing was found.</p>"
+    drawn = camera_map(inspection)
+    note = '<p class="note">The cameras; those of errors and warnings are filled, crosses mark missing photographs.</p>'
+    return f"<section><h2>The photographs, checked</h2>{table}{drawn}{note if drawn else ''}</section>"
 
 
 def _settings(data: ReportData) -> str:

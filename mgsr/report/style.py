@@ -53,6 +53,8 @@ svg.chart{display:block;width:100%;max-width:620px;height:auto;font:13px system-
 .chart .dot.a{fill:var(--a)}.chart .dot.b{fill:var(--b)}
 .chart text.label{font-weight:600}
 .chart text.label.a{fill:var(--a)}.chart text.label.b{fill:var(--b)}
+.cameras{margin-top:14px}.camera{fill:none;stroke:var(--a);stroke-width:1.5}.camera.bad{fill:var(--b);stroke:var(--b)}
+.missing{fill:none;stroke:var(--b);stroke-width:2}
 .legend{display:flex;gap:10px;align-items:center;font-size:.85rem;color:var(--soft);margin-top:12px;flex-wrap:wrap}
 .legend svg{width:min(260px,50vw);height:12px;border-radius:6px;display:block}
 .wide{overflow-x:auto;border:1px solid var(--line);border-radius:12px;background:var(--card);margin-top:12px}

@@ -60,9 +60,8 @@ def estimate_occlusion(
     gap: the largest depth of a vertex behind the faces around it, in the scene's unit.
     """
     columns = map_ahead(lambda each: _shown(mesh, each, gap, options.min_cosine), photographs, threads)
-    around = _around(mesh, gap, options.rays)
-    hidden = np.asarray(around.sum(axis=1)).ravel()
-    return AmbientOcclusion(mesh, 1 - hidden, around @ np.stack(list(columns), axis=1))
+    seen = trace_hemispheres(mesh, gap, options.rays)
+    return AmbientOcclusion(mesh, seen.visibility, seen.surface @ np.stack(list(columns), axis=1))
 
 
 def _shown(mesh: Mesh, photograph: Photograph, gap: float, min_cosine: float) -> np.ndarray:
@@ -79,16 +78,35 @@ def _shown(mesh: Mesh, photograph: Photograph, gap: float, min_cosine: float) ->
     return brightness
 
 
-def _around(mesh: Mesh, gap: float, rays: int) -> sparse.csr_matrix:
-    """Return the share [V,V] of each vertex's sky (row) that every other vertex (column) fills.
+@dataclass(frozen=True)
+class Hemispheres:
+    """What the vertices of a mesh see above themselves, weighted by the cosine to their normals.
 
-    Each vertex casts `rays` rays with a cosine distribution, on a spiral that is rotated from vertex to vertex.
+    surface [V,V]: the share of each vertex's sky (row) that every other vertex (column) fills. sky [V,9]: the mean of
+    each of the real spherical harmonics up to degree 2 over the whole sky, where it counts 0 in hidden directions.
+    Irradiance by light with coefficients c [9] is `sky @ c`.
+    """
+
+    surface: sparse.csr_matrix
+    sky: np.ndarray
+
+    @property
+    def visibility(self) -> np.ndarray:
+        """Return the visible share [V] of each vertex's sky, 0..1."""
+        return np.asarray(1 - np.asarray(self.surface.sum(axis=1)).ravel())
+
+
+def trace_hemispheres(mesh: Mesh, gap: float, rays: int = OcclusionOptions().rays) -> Hemispheres:
+    """Trace what each vertex of a mesh sees.
+
+    gap: the largest depth of a vertex behind the faces around it, in the mesh's unit. Each vertex casts `rays` rays with
+    a cosine distribution, on a spiral that is rotated from vertex to vertex. Faces seen from behind hide nothing.
     """
     vertices, faces, normals = mesh.vertices, mesh.faces, mesh.double_normals
     first, second = tangents(normals)
     outwards = mesh.face_crosses
     turned = 2 * np.pi * np.random.default_rng(0).random(len(vertices))
-    places, shares = [], []
+    places, shares, sky = [], [], np.zeros((len(vertices), 9))
     for ray in range(rays):
         square, angle = (ray + 0.5) / rays, ray * TURN + turned
         level = np.sqrt(square) * (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second)
@@ -98,5 +116,20 @@ def _around(mesh: Mesh, gap: float, rays: int) -> sparse.csr_matrix:
         met = met[(outwards[hits.face[met]] * directions[met]).sum(axis=1) < 0]
         places.append(np.stack([np.repeat(met, 3), faces[hits.face[met]].ravel()]))
         shares.append(hits.barycentric[met].ravel() / rays)
+        seen = real_harmonics(directions) / rays
+        seen[met] = 0
+        sky += seen
     size = (len(vertices), len(vertices))
-    return sparse.coo_matrix((np.concatenate(shares), np.concatenate(places, axis=1)), size).tocsr()
+    surface = sparse.coo_matrix((np.concatenate(shares), np.concatenate(places, axis=1)), size).tocsr()
+    return Hemispheres(surface, sky)
+
+
+def real_harmonics(directions: np.ndarray) -> np.ndarray:
+    """Return the real spherical harmonics up to degree 2 [P,9] in unit directions [P,3], over their value at degree 0.
+
+    Source: Ramamoorthi and Hanrahan, 2001.
+    """
+    x, y, z = directions.T
+    one, two = 3**0.5, 15**0.5
+    values = [1 + 0 * x, one * x, one * y, one * z, two * x * y, two * y * z, two * z * x]
+    return np.stack([*values, two / 2 * (x * x - y * y), 5**0.5 / 2 * (3 * z * z - 1)], axis=1)

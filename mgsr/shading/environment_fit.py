@@ -46,7 +46,7 @@ class FittedEnvironmentMap:
     def mirrored(self, normals: np.ndarray, view_directions: np.ndarray) -> np.ndarray:
         """Return the light [P] that points with unit normals [P,3] mirror to unit directions view_directions [P,3]."""
         directions = 2 * (view_directions * normals).sum(axis=1, keepdims=True) * normals - view_directions
-        return np.asarray(_sampling(directions, len(self.light)) @ self.light.ravel())
+        return np.asarray(sample_map(directions, len(self.light)) @ self.light.ravel())
 
 
 def look_up(table: np.ndarray, cells: int, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -77,7 +77,7 @@ def fit_environment_map(
     )
     owners = np.nonzero(seen)[0]
     own, eye = normals[points][owners], view_directions[seen]
-    rows = _sampling(2 * (eye * own).sum(1, keepdims=True) * own - eye, options.height)
+    rows = sample_map(2 * (eye * own).sum(1, keepdims=True) * own - eye, options.height)
     equations = _EnvironmentEquations(rows, brightness[seen].astype(float), owners, options)
     given = weights[seen].astype(float)
     light, current = np.zeros(rows.shape[1]), given
@@ -107,7 +107,7 @@ class _EnvironmentEquations:
 
     def solve(self, weights: np.ndarray, start: np.ndarray) -> np.ndarray:
         """Return the weighted least-squares map [C]; weights [Q]; start [C]: the first guess."""
-        smooth = self.options.smoothness * weights.sum() / self.rows.shape[1] * _steps_squared(self.options.height)
+        smooth = self.options.smoothness * weights.sum() / self.rows.shape[1] * steps_squared(self.options.height)
         turned = self.rows.T.tocsr()
 
         def apply(light: np.ndarray) -> np.ndarray:
@@ -144,7 +144,7 @@ def _well_read(observations: Observations, seed: int, options: EnvironmentFitOpt
 
 
 def _places(directions: np.ndarray, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the row and column, [...] each, of a map of `height` rows for unit directions [...,3].
+    """Return the row and column, [...] each, in a map of height x 2 height cells for unit directions [...,3].
 
     Cell centres are integers.
     """
@@ -153,8 +153,11 @@ def _places(directions: np.ndarray, height: int) -> tuple[np.ndarray, np.ndarray
     return polar * height - 0.5, azimuth * (2 * height) - 0.5
 
 
-def _sampling(directions: np.ndarray, height: int) -> sparse.csr_matrix:
-    """Return the matrix [Q,height*2*height] that samples a map bilinearly in unit directions [Q,3]."""
+def sample_map(directions: np.ndarray, height: int) -> sparse.csr_matrix:
+    """Return the matrix [Q,2*height^2] that samples a map of height x 2 height cells bilinearly.
+
+    directions [Q,3]: unit. Rows of the map are polar angles from z, columns are azimuths from x.
+    """
     width = 2 * height
     rows, columns = _places(directions, height)
     top, first = np.floor(rows).astype(int), np.floor(columns).astype(int)
@@ -168,9 +171,12 @@ def _sampling(directions: np.ndarray, height: int) -> sparse.csr_matrix:
     return sparse.coo_matrix((np.concatenate(shares), places), (len(rows), height * width)).tocsr()
 
 
-def _steps_squared(height: int) -> sparse.csr_matrix:
-    """Return the quadratic form of neighbouring cells' differences; the map wraps around in azimuth."""
-    cells = np.arange(2 * height**2).reshape(height, -1)
+def steps_squared(height: int) -> sparse.csr_matrix:
+    """Return the quadratic form of the differences of neighbouring cells in a map of height x 2 height cells.
+
+    The map wraps around in azimuth.
+    """
+    cells = np.arange(2 * height**2).reshape(height, 2 * height)
     pairs = np.concatenate(
         [
             np.stack([cells.ravel(), np.roll(cells, -1, axis=1).ravel()], 1),

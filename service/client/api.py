@@ -73,6 +73,16 @@ class Client:
         created: Job = _again(send).json()
         return created
 
+    def rerun(self, job: str, options: str) -> Job:
+        """Send the archive of an earlier job again, with these options (JSON) in place of its own; return the new job.
+
+        Options that are left out are as in the earlier job.
+        """
+        headers = {"Idempotency-Key": uuid.uuid4().hex}
+        address = f"/jobs/{job}/rerun"
+        created: Job = _again(lambda: self._http.post(address, params={"options": options}, headers=headers)).json()
+        return created
+
     def job(self, job: str) -> Job:
         """Return the job's current state."""
         state: Job = _again(lambda: self._http.get(f"/jobs/{job}")).json()

@@ -1,4 +1,4 @@
-"""`mgsr submit` and `mgsr fetch`: zip a scene, send it, follow the job and fetch its results."""
+"""`mgsr submit`, `rerun` and `fetch`: zip a scene, send it, follow the job and fetch its results."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import httpx
 from rich.console import Console
@@ -18,6 +19,7 @@ from service.contract.options import JobOptions
 
 FAILED = 1
 INTERRUPTED = 130
+_NAMED = 3  # photographs that the line of a finding names
 
 
 def submit_scene(server: str, key: str | None, scene: Path, options: JobOptions, out: Path | None) -> int:
@@ -31,8 +33,19 @@ def submit_scene(server: str, key: str | None, scene: Path, options: JobOptions,
         with _archive(scene) as archive:
             client.check()
             job = _send(client, archive, options, console)
-        console.print(f"job {job['id']}: {server.rstrip('/')}/jobs/{job['id']}", soft_wrap=True)
-        return 0 if out is None else _wait(client, job["id"], out, console)
+        return _sent(job, client, server, out, console)
+
+    return _talk(server, key, talk)
+
+
+def rerun_job(server: str, key: str | None, job: str, options: str, out: Path | None) -> int:
+    """Run an earlier job again with some other options (JSON), and return the program's exit code.
+
+    With `out`, wait for the new job and put its results there. Raises SetupError where the service refuses it.
+    """
+
+    def talk(client: Client, console: Console) -> int:
+        return _sent(client.rerun(job, options), client, server, out, console)
 
     return _talk(server, key, talk)
 
@@ -68,7 +81,7 @@ def _archive(scene: Path) -> Iterator[Path]:
         yield scene
         return
     if not scene.is_dir():
-        raise SetupError(f"{scene}: expected a folder or an archive of posed photographs; there is nothing")
+        raise SetupError(f"{scene}: expected a folder or an archive of photographs, or a video; there is nothing")
     with tempfile.NamedTemporaryFile(suffix=".zip") as made:
         with zipfile.ZipFile(made, "w", zipfile.ZIP_STORED) as target:  # photographs are compressed already
             for path in sorted(scene.rglob("*")):
@@ -85,17 +98,33 @@ def _send(client: Client, archive: Path, options: JobOptions, console: Console) 
         return client.submit(archive, options.model_dump_json(), lambda count: bar.advance(task, count))
 
 
+def _sent(job: Job, client: Client, server: str, out: Path | None, console: Console) -> int:
+    """Name a job that was sent, and with `out` wait for its results."""
+    console.print(f"job {job['id']}: {server.rstrip('/')}/jobs/{job['id']}", soft_wrap=True)
+    return 0 if out is None else _wait(client, job["id"], out, console)
+
+
 def _wait(client: Client, job: str, out: Path, console: Console) -> int:
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f}%"))
-    said = ""
+    said, told = "", False
     with Progress(*columns, TextColumn("{task.fields[detail]}"), console=console) as bar:
         task = bar.add_task("queued", total=1.0, detail="")
         for now in client.follow(job):
             bar.update(task, description=_place(now), completed=now["progress"], detail=_detail(now))
+            if now.get("findings") is not None and not told:
+                told = True
+                for finding in now["findings"]:
+                    console.print(_finding_line(finding), soft_wrap=True, markup=False)
             if not console.is_terminal and (line := _place(now)) != said:
                 said = line
                 console.print(line)
     return _fetch(client, now, out, console)
+
+
+def _finding_line(finding: dict[str, Any]) -> str:
+    names = finding["photographs"]
+    named = f" ({', '.join(names[:_NAMED])}{', ...' if len(names) > _NAMED else ''})" if names else ""
+    return f"{finding['severity']}: {finding['text']}{named}; {finding['cure']}"
 
 
 def _place(job: Job) -> str:
@@ -118,6 +147,11 @@ def _fetch(client: Client, job: Job, out: Path, console: Console) -> int:
         text = f"{error['message']} ({error['code']})" if error else "by request"
         console.print(f"{job['status']}: {text}", soft_wrap=True)
         return FAILED
+    if job["options"]["dry_run"]:
+        for each in job["metrics"]["estimate"]:
+            memory = each["memory_mib"] / 1024
+            console.print(f"{each['preset']:9} up to about {each['seconds']:.0f} s and {memory:.1f} GiB", markup=False)
+        return 0
     artifacts = client.artifacts(job["id"])
     with Progress(TextColumn("fetching"), BarColumn(), DownloadColumn(), console=console, transient=True) as bar:
         task = bar.add_task("fetching", total=sum(artifact["size"] for artifact in artifacts))

@@ -5,6 +5,7 @@ jobs/<id>/rounds/<r>                that round r was asked for (0, the submit, n
 jobs/<id>/cancels/<r>               that someone wants round r to stop
 jobs/<id>/outcomes/<r>.json         how round r ended; the first to write it wins
 jobs/<id>/attempts/<n>/start.json   a worker took up a round; beside it what it has made
+jobs/<id>/attempts/0/...            of a rerun: what it takes over from the earlier job's results
 jobs/<id>/attempts/<n>/end          that this attempt ended in good order, if without an outcome
 open/<id>.<r>                       that round r may have no outcome yet
 webhooks/<id>.<r>                   that the owner is still to be told of the outcome of round r
@@ -24,6 +25,11 @@ from service.contract.store import Store
 # An upload that no job names after so many seconds was cut off together with its service.
 STALE_UPLOAD = 6 * 3600.0
 _END_OF_TIME = 10**13
+# Results that a rerun takes over, files and folders: found cameras, and the object's masks. The worker puts them into
+# the new job's results before it begins.
+FOUND_CAMERAS = ("cameras/",)
+FOUND_OBJECT = ("object.json", "masks/")
+TAKEN_OVER = 0  # the attempt under which they lie
 
 
 @dataclass(frozen=True)
@@ -118,6 +124,19 @@ class Jobs:
         while not self.store.create(attempt_path(job, attempt, "start.json"), start):
             attempt += 1
         return attempt
+
+    def take_over(self, source: str, job: str, results: tuple[str, ...]) -> None:
+        """Copy the results of these names, or folders ending in /, from the newest attempt of a job that has them."""
+        found = _path(source, "attempts/")
+        held: dict[int, list[str]] = {}
+        for name in self.store.names(found):
+            number, _, result = name.partition("/")
+            if any(result == each or (each.endswith("/") and result.startswith(each)) for each in results):
+                held.setdefault(int(number), []).append(result)
+        if held:
+            newest = max(held)
+            for result in held[newest]:
+                self.store.copy(attempt_path(source, newest, result), attempt_path(job, TAKEN_OVER, result))
 
     def end_attempt(self, job: str, attempt: int) -> None:
         """Note that an attempt without an outcome ended properly: it was handed back, not lost."""

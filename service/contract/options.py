@@ -70,6 +70,10 @@ class JobOptions(BaseModel):
             description="Told of the job's end by a POST, signed as Standard Webhooks with `GET /webhook-secret`.",
         ),
     ] = None
+    dry_run: Annotated[
+        bool,
+        Field(description="Only check the photographs, and estimate seconds and memory of each preset; no results."),
+    ] = False
     settings: Annotated[
         dict[str, SettingValue],
         Field(max_length=200, description="Single settings by their name in `GET /options`; null is none."),

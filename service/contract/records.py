@@ -42,6 +42,7 @@ class JobRecord(Document):
     archive: str  # key in the store
     archive_bytes: int
     payload_sha256: str  # of archive and options: what an idempotency key stands for
+    rerun_of: str | None = None  # the job whose archive this one took over
 
 
 class Failure(Document):
@@ -74,6 +75,7 @@ class Outcome(Document):
     error: Failure | None = None
     artifacts: list[Artifact] = []
     metrics: dict[str, Any] = {}
+    findings: list[dict[str, Any]] | None = None  # what the check before training found
 
 
 class AttemptStart(Document):

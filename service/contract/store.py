@@ -73,6 +73,15 @@ class Store:
         with _failures(key):
             obstore.put(self._backend, key, data)
 
+    def copy(self, key: str, target: str) -> bool:
+        """Copy an object to another key, and return True; return False where there is none."""
+        with _failures(key):
+            try:
+                obstore.copy(self._backend, key, target)
+                return True
+            except FileNotFoundError:
+                return False
+
     def delete(self, key: str) -> None:
         """Delete an object, if it exists."""
         with _failures(key):

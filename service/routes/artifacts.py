@@ -26,7 +26,9 @@ ALIASES = {"splats.ply": ("splats_3d.ply", "splats_2d.ply")}
 BINARY = "application/octet-stream"
 SINGLE = {
     "mesh.ply": BINARY,
-    "mesh.glb": "model/gltf-binary",
+    "model.glb": "model/gltf-binary",
+    "model.usdz": "model/vnd.usdz+zip",
+    "environment.exr": "image/x-exr",
     "splats.ply": BINARY,
     "splats_2d.ply": BINARY,
     "splats_3d.ply": BINARY,

@@ -1,4 +1,4 @@
-"""/jobs: submit, list, look, cancel, retry, follow."""
+"""/jobs: submit, list, look, cancel, retry, rerun, follow."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fastapi.responses import JSONResponse, StreamingResponse
 from pydantic import ValidationError
 from redis import RedisError
 
-from service.contract.jobs import upload_path
+from service.contract.jobs import FOUND_CAMERAS, FOUND_OBJECT, upload_path
 from service.contract.options import JobOptions
 from service.contract.queue import queue_for
 from service.contract.records import JobRecord, JobStatus, new_id, now
@@ -81,6 +81,16 @@ OptionsQuery = Annotated[
 ]
 
 
+DryRunQuery = Annotated[
+    bool,
+    Query(description="Only check the photographs and estimate what each preset takes; sets the option `dry_run`."),
+]
+RerunQuery = Annotated[
+    str | None,
+    Query(max_length=16384, description="JobOptions as JSON text; what it leaves out is as in the earlier job."),
+]
+
+
 @router.post(
     "",
     status_code=202,
@@ -94,8 +104,9 @@ async def submit(
     parts: PartsDep,
     idempotency_key: IdempotencyKey = None,
     options: OptionsQuery = None,
+    dry_run: DryRunQuery = False,
 ) -> Response:
-    """Submit a capture: an archive (zip, tar, tar.gz, tar.zst) of posed photographs, and what to make of it."""
+    """Submit a capture: an archive (zip, tar, tar.gz, tar.zst) of photographs, or a video, and what to make of it."""
     asked = _options(options)
     _check_webhook(asked, parts)
     await _room_for(request, owner, parts)
@@ -108,22 +119,13 @@ async def submit(
                 raise Problem(422, "bad_options", "options came twice: in the query and in the body")
             asked = _options(received.options)
             _check_webhook(asked, parts)
+        asked = asked.model_copy(update={"dry_run": asked.dry_run or dry_run})
         record = _record(job, owner, asked, archive, received)
         kept = await run_in_threadpool(parts.jobs.create, record)
     except Exception:
         await run_in_threadpool(parts.jobs.store.delete, archive)
         raise
-    if kept.archive != archive:
-        await run_in_threadpool(parts.jobs.store.delete, archive)
-        if kept.payload_sha256 != record.payload_sha256:
-            raise Problem(
-                422,
-                "idempotency_conflict",
-                f"this Idempotency-Key belongs to job {kept.id}, which has another archive or other options",
-            )
-        return await _answer(parts, job, 202, {"Idempotency-Replayed": "true"})
-    await _enqueue(parts, record, 0)
-    return await _answer(parts, job, 202, {})
+    return await _accepted(parts, record, kept)
 
 
 @router.get("", responses=answers(422))
@@ -133,13 +135,15 @@ async def list_jobs(
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     before: Annotated[str | None, Query(pattern="^[0-9a-f]{32}$", description="The `next` of the page before.")] = None,
 ) -> JobList:
-    """List your jobs, the newest first, without their curves."""
+    """List your jobs, the newest first, without their curves and findings."""
     ids = await run_in_threadpool(parts.jobs.owned, owner)
     first = ids.index(before) + 1 if before in ids else 0
     page = ids[first : first + limit]
     found = [await parts.snapshots.get(job) for job in page]
     more = page[-1] if page and first + limit < len(ids) else None
-    views = [snapshot.view.model_copy(update={"curve": []}) for snapshot in found if snapshot is not None]
+    views = [
+        snapshot.view.model_copy(update={"curve": [], "findings": None}) for snapshot in found if snapshot is not None
+    ]
     return JobList(jobs=views, next=more)
 
 
@@ -201,6 +205,34 @@ async def retry(snapshot: SnapshotDep, parts: PartsDep) -> Response:
     return await _answer(parts, job, 202, {})
 
 
+@router.post(
+    "/{job_id}/rerun",
+    response_model=JobView,
+    status_code=202,
+    responses={202: {"description": "The new job, queued.", "headers": _LOCATION}, **answers(404, 410, 422, 429, 507)},
+)
+async def rerun(
+    request: Request,
+    snapshot: SnapshotDep,
+    owner: OwnerDep,
+    parts: PartsDep,
+    idempotency_key: IdempotencyKey = None,
+    options: RerunQuery = None,
+) -> Response:
+    """Submit the archive of an earlier job again, with other options. Found cameras and masks are taken over."""
+    source = snapshot.state.record
+    asked = _changed_options(source.options, options)
+    _check_webhook(asked, parts)
+    await _room_for(request, owner, parts)
+    record = _rerun_record(_job_id(owner, idempotency_key), source, asked)
+    try:
+        kept = await run_in_threadpool(_file_rerun, parts, source, record)
+    except Exception:
+        await run_in_threadpool(parts.jobs.store.delete, record.archive)
+        raise
+    return await _accepted(parts, record, kept)
+
+
 @router.delete(
     "/{job_id}/data",
     status_code=204,
@@ -246,6 +278,15 @@ def _options(text: str | None) -> JobOptions:
     except ValidationError as error:
         found = [f"{'.'.join(str(part) for part in item['loc'])}: {item['msg']}" for item in error.errors()]
         raise Problem(422, "bad_options", "; ".join(found)[:4000]) from error
+
+
+def _changed_options(earlier: JobOptions, text: str | None) -> JobOptions:
+    """Return an earlier job's options with those that the JSON text has. Raises Problem.
+
+    A dry run is followed by a run, unless the text asks for another one.
+    """
+    changes = _options(text).model_dump(mode="json", exclude_unset=True)
+    return JobOptions.model_validate(earlier.model_dump(mode="json") | {"dry_run": False} | changes)
 
 
 def _check_webhook(options: JobOptions, parts: Parts) -> None:
@@ -303,6 +344,60 @@ def _record(job: str, owner: str, options: JobOptions, archive: str, received: R
         archive_bytes=received.size,
         payload_sha256=payload,
     )
+
+
+def _rerun_record(job: str, source: JobRecord, options: JobOptions) -> JobRecord:
+    payload = hashlib.sha256(f"rerun {source.id}\0{options.model_dump_json()}".encode()).hexdigest()
+    changes = {"id": job, "created": now(), "options": options, "payload_sha256": payload, "rerun_of": source.id}
+    return source.model_copy(update=changes | {"archive": upload_path(job, new_id())})
+
+
+def _file_rerun(parts: Parts, source: JobRecord, record: JobRecord) -> JobRecord:
+    """File a job with a copy of another's archive and found results; return the job on file.
+
+    Raises Problem where the archive is gone.
+    """
+    earlier = parts.jobs.record(record.id)
+    if earlier is not None:
+        return earlier
+    if not parts.jobs.store.copy(source.archive, record.archive):
+        raise Problem(
+            410, "archive_gone", f"the archive of job {source.id} is not in the store any more; submit it again"
+        )
+    parts.jobs.take_over(source.id, record.id, FOUND_CAMERAS)
+    if _same_object(source.options, record.options):
+        parts.jobs.take_over(source.id, record.id, FOUND_OBJECT)
+    return parts.jobs.create(record)
+
+
+def _same_object(one: JobOptions, other: JobOptions) -> bool:
+    """Return whether the object's masks of one job fit the photographs as another reads them.
+
+    A time budget may reduce the photographs.
+    """
+    read = [
+        {name: value for name, value in options.settings.items() if name.startswith("data.")}
+        for options in (one, other)
+    ]
+    return read[0] == read[1] and "time_budget" not in one.settings | other.settings
+
+
+async def _accepted(parts: Parts, record: JobRecord, kept: JobRecord) -> Response:
+    """Queue a new job, and answer with the job on file.
+
+    Raises Problem where its idempotency key belongs to another submit.
+    """
+    if kept.archive == record.archive:
+        await _enqueue(parts, record, 0)
+        return await _answer(parts, record.id, 202, {})
+    await run_in_threadpool(parts.jobs.store.delete, record.archive)
+    if kept.payload_sha256 != record.payload_sha256:
+        raise Problem(
+            422,
+            "idempotency_conflict",
+            f"this Idempotency-Key belongs to job {kept.id}, which has another archive or other options",
+        )
+    return await _answer(parts, record.id, 202, {"Idempotency-Replayed": "true"})
 
 
 async def _enqueue(parts: Parts, record: JobRecord, number: int) -> None:

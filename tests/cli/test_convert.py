@@ -16,8 +16,9 @@ from mgsr.data.scene import Scene, Similarity, View
 from mgsr.export.compressed_ply import is_compressed_ply
 from mgsr.export.mesh_files import write_ply
 from mgsr.export.splats import write_splats
-from mgsr.mesh.surface import ReconstructedMesh
-from mgsr.pipeline.result_files import write_mesh
+from mgsr.mesh.surface import TexturedMesh
+from mgsr.pipeline.result_files import write_textured
+from mgsr.shading.material import Material
 from tests.data.captures import BallCapture
 from tests.export.test_mesh_files import ball, mesh_and_colors
 from tests.export.test_packed_splats import splats
@@ -54,10 +55,11 @@ def test_results_stand_upright(tmp_path: Path, axis: int, sign: int) -> None:
     view = View("a", Camera(np.eye(3), pose, 2, 2), np.zeros((2, 2, 3), np.uint8), None)
     scene = Scene("a", Path(), "plain", [view], [], None, Similarity())
     corners = np.array([[0.0, 0, 0], [1, 0, 0], 3 * up])
-    mesh = ReconstructedMesh(corners, np.array([[0, 1, 2]]), np.ones((3, 3), np.float32))
-    mesh = mesh.with_normals(np.tile(np.cross(side, up), (3, 1)))
-    write_mesh(tmp_path, mesh, scene, OutputConfig())
-    written = trimesh.load_scene(tmp_path / "mesh.glb", process=False).to_mesh()
+    flat, white = np.full((4, 4, 3), (128, 128, 255), np.uint8), np.full((4, 4), 255, np.uint8)
+    uvs, tangents = np.array([[0.0, 0], [1, 0], [0, 1]]), np.tile([*side, 1], (3, 1))
+    model = TexturedMesh(corners, np.array([[0, 1, 2]]), uvs, tangents, (4, 4), flat, flat, white, Material())
+    write_textured(tmp_path, model.with_normals(np.tile(np.cross(side, up), (3, 1))), scene, OutputConfig())
+    written = trimesh.load_scene(tmp_path / "model.glb", process=False).to_mesh()
     np.testing.assert_allclose(written.vertices, [[0, 0, 0], [1, 0, 0], [0, 3, 0]], atol=1e-6)
 
 

@@ -362,12 +362,6 @@ def test_a_principal_point_that_no_photograph_has(root: Path) -> None:
     leaves_out(root, r"view 3.*the principal point \(5000, 35\) lies 62\.1 focal lengths beside the middle")
 
 
-def test_images_without_cameras_name_the_command_that_finds_them(tmp_path: Path) -> None:
-    for i in range(3):
-        save(tmp_path / f"photos/{i}.jpg", np.zeros((8, 8, 3), np.uint8), "RGB")
-    refuses(tmp_path, r"3 images, but no cameras; find the cameras with `mgsr poses .*`, or put them there")
-
-
 def test_inverted_masks(root: Path) -> None:
     for i, pose in enumerate(BallCapture().poses()):
         save(root / f"photos/{i:03d}.png", BallCapture().rgba(pose), "RGB")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mgsr.config import Blurred, DataConfig, Masks
+from mgsr.config import DataConfig, Flawed, Masks
 from mgsr.data.pointclouds import read_points
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
@@ -173,5 +173,5 @@ def test_a_point_cloud_that_is_missing_is_told_of(cases: Path, tmp_path: Path) -
 
 
 def test_blurred_frames_are_left_out_where_that_is_asked_for(cases: Path) -> None:
-    scene = load_scene(cases / "13_blurred_frames", DataConfig(blurred=Blurred.DROP))
+    scene = load_scene(cases / "13_blurred_frames", DataConfig(flawed=Flawed.DROP))
     assert sorted(view.name for view in scene.train + scene.test) == [f"{i:03d}" for i in range(0, 36, 3)]

@@ -14,7 +14,7 @@ from PIL import Image
 
 from mgsr.config import DataConfig
 from mgsr.data.photo_files import SceneFolder
-from mgsr.data.readers import load_scene
+from mgsr.data.readers import find_capture, load_scene
 from mgsr.errors import MissingPhotoError, SceneError
 from tests.data.captures import BallCapture, edit_json, save
 from tests.data.reading import read_capture
@@ -62,7 +62,7 @@ def test_a_scene_given_by_its_photographs(root: Path) -> None:
     scene = load_scene(root / "photos", DataConfig())
     assert scene.name == "vase" and scene.notes[0] == "photos is a part of the scene vase, which is read"
     save(root / "others/a.png", GREY, "RGB")
-    refuses(root / "others", "1 images, but no cameras; find the cameras with `mgsr poses")
+    refuses(root / "others", "1 images, but no cameras; at least 3 are needed to find cameras")
 
 
 @pytest.mark.parametrize("relative", [False, True])
@@ -131,7 +131,8 @@ def test_depth_maps_of_the_same_names_are_no_photographs(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("walk.mp4", "x", r"walk\.mp4: a video; take frames from it.*ffmpeg.*mgsr poses"),
+        ("walk.avi", "x", r"walk\.avi: a video of a kind that is not read; convert it with `ffmpeg"),
+        ("walk.mp4", "x", r"walk\.mp4: expected an MP4, MOV, WebM or Matroska video"),
         ("a.png", "x", r"a\.png: a single photograph; give the folder"),
         ("scene.zip", LFS, r"scene\.zip is a pointer of Git LFS and not the file itself; .*`git lfs pull`"),
         ("scene.zip", "<!DOCTYPE html><html>", r"scene\.zip is a web page and not the file itself; download it again"),
@@ -147,7 +148,8 @@ def test_files_that_are_no_scene(tmp_path: Path, name: str, content: str, messag
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("walk.MOV", r"a video \(walk\.MOV\) but no photographs; take frames"),
+        ("walk.WMV", r"a video \(walk\.WMV\) of a kind that is not read; convert it"),
+        ("walk.MOV", r"walk\.MOV: expected an MP4, MOV, WebM or Matroska video"),
         ("IMG.dng", r"raw photographs \(IMG\.dng\), which are not read; develop them"),
         ("scene.zip", r"no known scene in it, but another archive, scene\.zip"),
     ],
@@ -293,5 +295,9 @@ def test_a_confined_scene_takes_nothing_from_outside(tmp_path: Path, root: Path,
         (root / "photos").rename(inner / "photos")
         edit_json(root / "cameras.json", lambda c: [v.update(image="job/" + v["image"]) for v in c["views"]])
     assert views(inner) == 12
-    with pytest.raises(SceneError, match="only 0 of 12 photographs" if cameras else "12 images, but no cameras"):
-        load_scene(inner, DataConfig(confined=True))
+    confined = DataConfig(confined=True)
+    if not cameras:
+        assert find_capture(inner, confined).kind is None, "photographs without cameras"
+        return
+    with pytest.raises(SceneError, match="only 0 of 12 photographs"):
+        load_scene(inner, confined)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mgsr.config import Blurred
+from mgsr.config import Flawed
 from mgsr.data.camera import Camera
 from mgsr.data.coverage import note_of_few_views
 from mgsr.data.loading import LoadedView
@@ -63,12 +63,12 @@ def test_contrast_and_noise_are_no_blur() -> None:
     assert not less_sharp(views(set(), change)).any()
 
 
-@pytest.mark.parametrize("blurred", list(Blurred))
-def test_blurred_photographs_are_kept_or_dropped(blurred: Blurred) -> None:
+@pytest.mark.parametrize("blurred", list(Flawed))
+def test_blurred_photographs_are_kept_or_dropped(blurred: Flawed) -> None:
     items = [LoadedView(view) for view in views({3, 8, 20})]
     (train, test), (note,) = without_blurred(items[:25], items[25:], blurred)
     assert note.startswith("3 of 30 photographs are much less sharp than their neighbours (003, 008, 020)")
-    assert len(train) == (25 if blurred is Blurred.KEEP else 22) and len(test) == 5
+    assert len(train) == (25 if blurred is Flawed.KEEP else 22) and len(test) == 5
 
 
 def ring(count: int, arc: float = 360) -> list[View]:

@@ -101,7 +101,15 @@ def test_the_services_image_gets_no_torch() -> None:
     asked = subprocess.run(
         [sys.executable, "deploy/requirements.py", "service"], cwd=ROOT, check=True, capture_output=True, text=True
     ).stdout
-    assert "fastapi" in asked and not re.search(r"torch|open3d|numpy|scipy", asked)
+    assert "fastapi" in asked and not re.search(r"torch|open3d|numpy|scipy|pycolmap|^av\b", asked, re.MULTILINE)
+
+
+@pytest.mark.parametrize("image", ["worker-cpu", "worker-gpu"])
+def test_the_workers_find_cameras_and_read_videos(image: str) -> None:
+    asked = subprocess.run(
+        [sys.executable, "deploy/requirements.py", image], cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout
+    assert {"pycolmap", "av"} <= set(re.findall(r"^[\w.-]+", asked, re.MULTILINE))
 
 
 @pytest.mark.parametrize("name", COMPOSE["services"])

@@ -20,8 +20,7 @@ from mgsr.export.mesh_reading import load_mesh
 from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number
 from mgsr.export.splats import load_splats, write_splats
-from mgsr.geometry.mesh import Mesh
-from tests.export.test_mesh_files import ball, mesh_and_colors
+from tests.export.test_mesh_files import ball, mesh_and_colors, square
 from tests.export.test_packed_splats import PLY_STEPS, SPZ_STEPS, check_close, splats
 
 
@@ -56,11 +55,9 @@ def test_meshes(tmp_path: Path, before: str, after: str) -> None:
 @pytest.mark.parametrize("after", [".ply", ".glb", ".obj"])
 def test_vertices_take_the_colours_of_a_picture(tmp_path: Path, after: str) -> None:
     """Check a square with a texel at each corner."""
-    vertices = np.array([[0.0, 1, 0], [0, 0, 0], [1, 0, 0], [1, 1, 0]])
-    uvs = np.array([[0.0, 0], [0, 1], [1, 1], [1, 0]]) * 0.9 + 0.05
     picture = np.array([[[200, 10, 20], [30, 220, 40]], [[1, 2, 250], [120, 130, 140]]], np.uint8)
-    normals, faces = np.tile([0.0, 0, 1], (4, 1)), np.array([[0, 1, 2], [0, 2, 3]])
-    write_textured_glb(tmp_path / "a.glb", Mesh(vertices, faces).with_normals(normals), uvs, picture)
+    mesh, uvs, tangents, material = square(picture)
+    write_textured_glb(tmp_path / "a.glb", mesh, uvs * 0.9 + 0.05, tangents, material)
     convert(tmp_path / "a.glb", tmp_path / f"b{after}")
     expected = picture[[0, 1, 1, 0], [0, 0, 1, 1]] / 255
     np.testing.assert_allclose(load_mesh(tmp_path / f"b{after}").colors, expected, atol=1.01 / 255)

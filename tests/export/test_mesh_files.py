@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from mgsr.data.images import srgb_to_linear
 from mgsr.errors import MeshError
 from mgsr.export.convert import convert
-from mgsr.export.gltf import UpAxis
-from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
+from mgsr.export.gltf import PbrMaterial, UpAxis
+from mgsr.export.mesh_files import png_bytes, write_glb, write_ply, write_textured_glb
 from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import UNIT, read_number
 from mgsr.geometry.mesh import Mesh
@@ -87,24 +87,44 @@ def test_glb_colours_are_linear_and_fine(tmp_path: Path) -> None:
     assert (stored[:, 3] == 1).all()
 
 
-def test_textured_glb_puts_the_picture_where_it_belongs(tmp_path: Path) -> None:
-    """Check a square whose upper left corner, seen from z, is red; trimesh's uvs begin at the lower left instead."""
+def square(picture: np.ndarray) -> tuple[Mesh, np.ndarray, np.ndarray, PbrMaterial]:
+    """Return a square whose picture has its upper left corner at (0, 1, 0), seen from z, with tangents and material."""
     vertices = np.array([[0.0, 1, 0], [0, 0, 0], [1, 0, 0], [1, 1, 0]])
     uvs = np.array([[0.0, 0], [0, 1], [1, 1], [1, 0]])
     normals, faces = np.tile([0.0, 0, 1], (4, 1)), np.array([[0, 1, 2], [0, 2, 3]])
+    flat, open_sky = np.full((4, 4, 3), (128, 128, 255), np.uint8), np.full((2, 2), 200, np.uint8)
+    material = PbrMaterial(png_bytes(picture), png_bytes(flat), png_bytes(open_sky), roughness=0.25, metallic=1.0)
+    return Mesh(vertices, faces).with_normals(normals), uvs, np.tile([1.0, 0, 0, 1], (4, 1)), material
+
+
+def test_textured_glb_puts_the_picture_where_it_belongs(tmp_path: Path) -> None:
+    """Check a square whose upper left corner, seen from z, is red; trimesh's uvs begin at the lower left instead."""
     picture = np.zeros((8, 8, 3), np.uint8)
     picture[:4, :4], picture[4:, 4:] = (200, 10, 20), (1, 2, 250)
-    write_textured_glb(tmp_path / "mesh.glb", Mesh(vertices, faces).with_normals(normals), uvs, picture)
-    mesh = trimesh.load_mesh(tmp_path / "mesh.glb", process=False)
-    np.testing.assert_allclose(mesh.vertices, vertices, atol=1e-6)
-    np.testing.assert_array_equal(mesh.faces, faces)
+    given, uvs, tangents, material = square(picture)
+    write_textured_glb(tmp_path / "model.glb", given, uvs, tangents, material)
+    mesh = trimesh.load_mesh(tmp_path / "model.glb", process=False)
+    np.testing.assert_allclose(mesh.vertices, given.vertices, atol=1e-6)
+    np.testing.assert_array_equal(mesh.faces, given.faces)
     visual: Any = mesh.visual
     image = np.asarray(visual.material.baseColorTexture.convert("RGB"))
     np.testing.assert_array_equal(image, picture)
     rows, columns = 7 - (visual.uv[:, 1] * 7).astype(int), (visual.uv[:, 0] * 7).astype(int)
     np.testing.assert_array_equal(image[rows, columns], [(200, 10, 20), (0, 0, 0), (1, 2, 250), (0, 0, 0)])
     with pytest.raises(MeshError, match="uvs: expected"):
-        write_textured_glb(tmp_path / "mesh.glb", Mesh(vertices, faces).with_normals(normals), uvs[:3], picture)
+        write_textured_glb(tmp_path / "model.glb", given, uvs[:3], tangents, material)
+    with pytest.raises(MeshError, match="tangents: expected"):
+        write_textured_glb(tmp_path / "model.glb", given, uvs, tangents[:, :3], material)
+
+
+def test_textured_glb_holds_the_material(tmp_path: Path) -> None:
+    mesh, uvs, tangents, material = square(np.zeros((8, 8, 3), np.uint8))
+    write_textured_glb(tmp_path / "model.glb", mesh, uvs, tangents, material)
+    visual: Any = trimesh.load_mesh(tmp_path / "model.glb", process=False).visual
+    read = visual.material
+    assert (read.roughnessFactor, read.metallicFactor, read.doubleSided) == (0.25, 1.0, True)
+    np.testing.assert_array_equal(np.asarray(read.normalTexture.convert("RGB")), np.full((4, 4, 3), (128, 128, 255)))
+    np.testing.assert_array_equal(np.asarray(read.occlusionTexture.convert("L")), np.full((2, 2), 200))
 
 
 def test_a_ply_tells_its_unit(tmp_path: Path) -> None:

@@ -1,14 +1,17 @@
-"""The picture of a mesh, held to surfaces whose colour is known at every place."""
+"""The textured model, held to surfaces whose colour and normals are known at every place."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 import trimesh
 
-from mgsr.config import MeshConfig
+from mgsr.config import MeshConfig, OutputConfig
 from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.mesh.texture import texture_mesh
+from mgsr.mesh.views import SurfaceView
 from tests.mesh.shapes import cameras_around, joined, position_color, views_of
 
 SIDE = 256
@@ -26,19 +29,28 @@ def surface(mesh: trimesh.Trimesh) -> ReconstructedMesh:
     return ReconstructedMesh(vertices, faces, np.full(vertices.shape, GREY, np.float32))
 
 
-def read(textured: TexturedMesh, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
-    """Return places [P,3] on the mesh and the texture's bilinear colours 0..1 there, read as a renderer does."""
+def textured_of(
+    shape: trimesh.Trimesh, views: Sequence[SurfaceView], side: int = SIDE, faces: int | None = None
+) -> TexturedMesh:
+    """Return the textured model of a shape, whose colours contain no shading."""
+    return texture_mesh(
+        surface(shape), views, 0.02, OutputConfig(faces=faces, texture=side), MeshConfig(), shaded=False
+    )
+
+
+def read(textured: TexturedMesh, picture: np.ndarray, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
+    """Return places [P,3] on the mesh and a picture's bilinear values 0..1 there, read as a renderer does."""
     random = np.random.default_rng(1)
     faces = textured.faces[random.integers(0, len(textured.faces), count)]
     shares = random.dirichlet([1, 1, 1], count)
     places = np.einsum("pkc,pk->pc", textured.vertices[faces], shares)
-    x, y = (np.einsum("pkc,pk->pc", textured.uvs[faces], shares) * len(textured.picture) - 0.5).T
+    x, y = (np.einsum("pkc,pk->pc", textured.uvs[faces], shares) * len(picture) - 0.5).T
     left, top = np.floor(x).astype(int), np.floor(y).astype(int)
     fx, fy = (x - left)[:, None], (y - top)[:, None]
-    last = len(textured.picture) - 1
+    last = len(picture) - 1
 
     def texel(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        color: np.ndarray = textured.picture[np.clip(rows, 0, last), np.clip(columns, 0, last)] / 255
+        color: np.ndarray = picture[np.clip(rows, 0, last), np.clip(columns, 0, last)] / 255
         return color
 
     above = texel(left, top) * (1 - fx) + texel(left + 1, top) * fx
@@ -48,11 +60,11 @@ def read(textured: TexturedMesh, count: int = 4000) -> tuple[np.ndarray, np.ndar
 
 def test_a_ball_has_its_own_colours_everywhere() -> None:
     shape = ball()
-    textured = texture_mesh(surface(shape), views_of(shape, cameras_around(16)), SIDE, None, MeshConfig())
-    assert textured.picture.shape == (SIDE, SIDE, 3) and textured.picture.dtype == np.uint8
+    textured = textured_of(shape, views_of(shape, cameras_around(16)))
+    assert textured.base_color.shape == (SIDE, SIDE, 3) and textured.base_color.dtype == np.uint8
     assert textured.uvs.min() >= 0 and textured.uvs.max() <= 1
     assert len(textured.faces) == len(shape.faces)
-    places, colors = read(textured)
+    places, colors = read(textured, textured.base_color)
     # Bytes of the picture, the pixels of the views and a texel's size; a seam would show as a large single error.
     assert np.abs(colors - position_color(places)).mean() < 0.006
     assert np.abs(colors - position_color(places)).max() < 0.05
@@ -72,8 +84,8 @@ def test_nothing_is_painted_through_the_object() -> None:
         color = np.where(ball_seen[..., None], [1.0, 0, 0], [0, 1.0, 0]).astype(np.float32)
         views.append(type(view)(view.camera, view.depth, view.normal, view.alpha, color))
     assert len(views) >= 2
-    textured = texture_mesh(surface(both), views, SIDE, None, MeshConfig())
-    places, colors = read(textured)
+    textured = textured_of(both, views)
+    places, colors = read(textured, textured.base_color)
     on_wall = places[:, 2] < -0.9
     assert (colors[on_wall, 0] <= GREY + 0.02).all(), "no red on the wall"
     assert (colors[~on_wall, 1] <= GREY + 0.02).all(), "no green on the ball"
@@ -84,7 +96,7 @@ def test_nothing_is_painted_through_the_object() -> None:
 
 def test_a_mesh_with_many_faces_is_reduced() -> None:
     shape = ball()
-    textured = texture_mesh(surface(shape), views_of(shape, cameras_around(8)), 64, 600, MeshConfig())
+    textured = textured_of(shape, views_of(shape, cameras_around(8)), 64, 600)
     assert 500 <= len(textured.faces) <= 600
     assert np.abs(np.linalg.norm(textured.vertices, axis=1) - 0.7).max() < 0.03
 
@@ -99,14 +111,68 @@ def test_no_texel_is_left_dark_beside_a_chart() -> None:
         type(view)(view.camera, view.depth, view.normal, view.alpha, np.ones_like(view.color))
         for view in views_of(shape, cameras_around(16))
     ]
-    textured = texture_mesh(surface(shape), views, 64, None, MeshConfig())
-    assert textured.picture.min() > 250
+    textured = textured_of(shape, views, 64)
+    assert textured.base_color.min() > 250
 
 
 @pytest.mark.parametrize("offset", [0.0, 5000.0])
 def test_places_stay_where_they_are(offset: float) -> None:
     shape = ball()
     shape.apply_translation([offset, 0, 0])
-    cameras = cameras_around(6)
-    textured = texture_mesh(surface(shape), views_of(ball(), cameras), 64, None, MeshConfig())
+    textured = textured_of(shape, views_of(ball(), cameras_around(6)), 64)
     assert np.abs(np.linalg.norm(textured.vertices - [offset, 0, 0], axis=1) - 0.7).max() < 1e-6
+
+
+def test_the_normal_map_brings_back_what_decimation_takes() -> None:
+    """Check a ball with waves against its normals by calculus, with glTF's tangent space written out anew."""
+    fine = trimesh.creation.icosphere(6, 1.0)
+    shape = trimesh.Trimesh(fine.vertices * (0.7 + 0.02 * np.sin(12 * fine.vertices[:, 2:])), fine.faces, process=False)
+    textured = textured_of(shape, views_of(shape, cameras_around(4)), 512, 1500)
+    faces, shares = textured.faces[::3], np.full(3, 1 / 3)
+    corners = textured.uvs[faces].mean(axis=1) * 512 - 0.5
+    columns, rows = np.rint(corners).astype(int).T
+    inside = np.abs(corners - np.rint(corners)).max(axis=1) < 0.15  # at a texel's centre
+    stored = textured.normal_map[rows, columns].astype(float) / 255 * 2 - 1
+    normal = np.einsum("pkc,k->pc", textured.normals[faces], shares)
+    tangent = np.einsum("pkc,k->pc", textured.tangents[faces][..., :3], shares)
+    sign = textured.tangents[faces[:, 0], 3:]
+    bitangent = sign * np.cross(normal, tangent)
+    shaded = stored[:, :1] * tangent + stored[:, 1:2] * bitangent + stored[:, 2:] * normal
+    shaded /= np.linalg.norm(shaded, axis=1, keepdims=True)
+    places = textured.vertices[faces].mean(axis=1)
+    truth = _wave_normals(places)
+    angles = [np.degrees(np.arccos(np.clip((each * truth).sum(1), -1, 1)))[inside] for each in (shaded, normal)]
+    assert inside.sum() > 20
+    assert np.median(angles[0]) < 2.0 < np.median(angles[1])
+
+
+def _wave_normals(places: np.ndarray) -> np.ndarray:
+    """Return the normals [P,3] of the surface r = 0.7 + 0.02 sin(12 z / r), by its gradient."""
+    radius = np.linalg.norm(places, axis=1, keepdims=True)
+    up = places / radius
+    slope = 0.02 * 12 * np.cos(12 * up[:, 2:]) / radius * ([[0.0, 0, 1]] - up[:, 2:] * up)
+    gradient = up - slope
+    return np.asarray(gradient / np.linalg.norm(gradient, axis=1, keepdims=True))
+
+
+def test_inside_a_bowl_half_of_the_sky_is_hidden() -> None:
+    """Check a half ball seen from inside: the rest of it hides half the sky from each of its places."""
+    whole = trimesh.creation.icosphere(5, 0.7)
+    bowl = trimesh.Trimesh(whole.vertices, whole.faces[whole.triangles_center[:, 2] < 0][:, ::-1])
+    textured = textured_of(bowl, views_of(bowl, cameras_around(8)), 64)
+    places, occlusion = read(textured, np.repeat(textured.occlusion[..., None], 3, axis=2))
+    assert np.abs(occlusion[places[:, 2] < -0.1].mean(axis=0) - 0.5).max() < 0.03
+    outside = textured_of(whole, views_of(whole, cameras_around(4)), 64)
+    assert outside.occlusion.min() == 255
+
+
+def test_a_texel_is_as_large_as_asked() -> None:
+    shape = ball()
+    views = views_of(shape, cameras_around(4))
+    textured = texture_mesh(surface(shape), views, 0.02, OutputConfig(), MeshConfig(), shaded=False)
+    flat = textured.uvs * textured.size[::-1]
+    corners, places = flat[textured.faces], textured.vertices[textured.faces]
+    stretch = np.linalg.norm(np.diff(places[:, :2], axis=1), axis=-1) / np.linalg.norm(
+        np.diff(corners[:, :2], axis=1), axis=-1
+    )
+    assert 0.019 < np.percentile(stretch, 10) < 0.021, "along the charts"

@@ -69,6 +69,10 @@ class Puppet:
             )
         )
 
+    def check(self, findings: list[dict[str, Any]]) -> None:
+        """Report what a check of the photographs found."""
+        self.tell(step="check", text="the photographs are checked", progress=0.02, findings=findings)
+
     def fail(self, code: str, message: str, retryable: bool) -> None:
         """End the round with an error."""
         error = Failure(code=code, message=message, retryable=retryable, peak_memory_bytes=3_000_000_000)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from mgsr.export.gltf import UpAxis
-from mgsr.export.mesh_files import write_glb, write_ply
+from mgsr.export.gltf import PbrMaterial, UpAxis
+from mgsr.export.mesh_files import png_bytes, write_ply, write_textured_glb
 from mgsr.export.renders import Rendering, write_view
 from mgsr.export.splats import write_splats
 from tests.export.test_mesh_files import mesh_and_colors
@@ -38,7 +38,11 @@ def make_results(folder: Path, middle: np.ndarray = MIDDLE, origin: np.ndarray |
     box = trimesh.creation.box((2.0, 1.0, 1.0))
     arrays = (box.vertices + middle, box.faces, box.vertex_normals, np.tile(RED, (len(box.vertices), 1)))
     write_ply(folder / "mesh.ply", *mesh_and_colors(*arrays))
-    write_glb(folder / "mesh.glb", *mesh_and_colors(*arrays), up=UpAxis.Z)
+    red = png_bytes(np.full((4, 4, 3), np.rint(np.array(RED) * 255), np.uint8))
+    flat, white = png_bytes(np.full((4, 4, 3), (128, 128, 255), np.uint8)), png_bytes(np.full((4, 4), 255, np.uint8))
+    uvs, tangents = np.full((len(box.vertices), 2), 0.5), np.tile([1.0, 0, 0, 1], (len(box.vertices), 1))
+    material = PbrMaterial(red, flat, white, roughness=1.0, metallic=0.0)
+    write_textured_glb(folder / "model.glb", mesh_and_colors(*arrays)[0], uvs, tangents, material, UpAxis.Z)
     about = middle if origin is None else middle - origin
     write_splats(folder / "splats_3d.ply", _splats(about), origin=origin)
     write_view(folder / "renders" / "test", "r_0", _view())

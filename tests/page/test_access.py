@@ -81,7 +81,7 @@ def test_from_files_to_a_running_job_by_keyboard_alone(visit: Opener, service: S
         page.keyboard.press("Enter")
         expect(page.locator("#main")).to_be_focused()
         page.keyboard.press("Tab")
-        expect(page.get_by_role("button", name="Choose an archive")).to_be_focused()
+        expect(page.get_by_role("button", name="Choose files")).to_be_focused()
         page.keyboard.press("Enter")
         expect(page.get_by_label("Name")).to_be_focused()
         page.keyboard.press("Tab")

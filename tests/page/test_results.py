@@ -198,7 +198,7 @@ def test_the_light_split_is_the_sum_of_its_halves(visit: Opener, done: str) -> N
 
 def test_files_arrive_byte_by_byte(visit: Opener, done: str, results: dict[str, bytes]) -> None:
     with visit(done) as page:
-        for name, saved in (("mesh.glb", "red_box-mesh.glb"), ("splats_3d.ply", "red_box-splats_3d.ply")):
+        for name, saved in (("model.glb", "red_box-model.glb"), ("splats_3d.ply", "red_box-splats_3d.ply")):
             with page.expect_download() as download:
                 page.get_by_role("button", name=f"Download {name}").click()
             assert download.value.suggested_filename == saved

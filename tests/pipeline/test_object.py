@@ -14,9 +14,12 @@ from mgsr.config import make_config
 from mgsr.data.readers import load_scene
 from mgsr.errors import ConfigError, MgsrError
 from mgsr.export.scenes import write_scene
+from mgsr.pipeline import preprocess
 from mgsr.pipeline.object_files import with_found_object
+from mgsr.pipeline.progress import ignore
 from mgsr.pipeline.run import run_scene
 from mgsr.pipeline.single_steps import mesh_again, score_again
+from mgsr.pipeline.steps import StepClock, Steps
 from tests.segmentation.table_scene import TABLE, table_scene
 
 SHORT = [
@@ -87,6 +90,24 @@ def test_single_steps_take_the_masks_up(done: Path, capture: Path) -> None:
     assert scores["psnr_test"] == pytest.approx(report["psnr_test"], abs=1e-3)
     mesh = mesh_again(capture, done, config, "cpu")
     assert len(mesh.faces) == pytest.approx(report["mesh"]["faces"], rel=2e-3)  # the files hold float32
+
+
+def test_another_run_takes_the_masks_over(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*arguments: object) -> None:
+        raise AssertionError("the object is known")
+
+    monkeypatch.setattr(preprocess, "find_object", never)
+    found = load_scene(capture)
+    (tmp_path / "masks").mkdir()
+    for view, mask in zip(found.train + found.test, table_scene()[1], strict=True):
+        Image.fromarray(255 * mask.astype(np.uint8)).save(tmp_path / "masks" / f"{view.name}.png")
+    (tmp_path / "object.json").write_text(json.dumps({"ground": [0.0, 0.0, 1.0, -TABLE]}))
+    steps = Steps(StepClock(), ignore, lambda: False)
+    config = make_config(overrides=["object=auto"])
+    scene, start = preprocess.preprocess(found, config, tmp_path, steps, reuse_object=True)
+    assert scene.masked and scene.ground is not None and len(start.positions) > 100
+    assert any("an earlier run found" in note for note in scene.notes)
+    assert (tmp_path / "object.json").is_file()
 
 
 def test_a_view_of_the_whole_scene_is_refused_and_its_camera_is_not(done: Path, capture: Path) -> None:

@@ -22,7 +22,7 @@ from mgsr.data.silhouettes import silhouettes
 from mgsr.export.scenes import write_scene
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.pipeline.evaluation import image_scores
-from mgsr.pipeline.meshing import make_mesh
+from mgsr.pipeline.meshing import make_mesh, make_textured
 from mgsr.pipeline.rendering import render_views, scene_silhouettes
 from mgsr.pipeline.report_pictures import draw_surface, report_pictures
 from mgsr.pipeline.run_metadata import scene_facts
@@ -90,8 +90,8 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
         yield "training", [] if model is None else list(model.parameters().values())
     mesh = make_mesh(models, scene, config)
     yield "mesh", [mesh.vertices, mesh.faces, mesh.colors, str(mesh.light)]
-    assert mesh.textured is not None
-    yield "texture", mesh.textured.picture
+    textured = make_textured(models, scene, config, mesh)
+    yield "texture", [textured.base_color, textured.normal_map, textured.occlusion, str(textured.material)]
     rendered = list(render_views(models, scene.test, config))
     behind = scene.backdrop(config.train.background).color
     scores = image_scores(rendered, scene, behind)

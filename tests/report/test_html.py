@@ -140,3 +140,33 @@ def test_eight_test_views_and_the_surface_stay_under_four_megabytes() -> None:
 def test_values_that_are_not_finite_are_left_out() -> None:
     data = replace(sample_report(), psnr_test=float("nan"))
     assert "nan" not in read(report_page(data, ReportPictures())).text
+
+
+FINDING = {
+    "code": "unseen_side",
+    "severity": "warning",
+    "text": "no photograph shows a side",
+    "amount": 2.5,
+    "unit": "sr",
+    "cure": "add photographs",
+    "photographs": ["r_1"],
+    "places": [[0.0, 3.0, 0.0]],
+}
+
+
+def test_the_check_of_the_photographs_is_told_and_drawn() -> None:
+    photographs = [
+        {"name": STRANGE if i == 2 else f"r_{i}", "center": [3 * x, 3 * y, 0.1], "direction": [-x, -y, 0.0]}
+        for i, (x, y) in enumerate([(1, 0), (0, -1), (-1, 0)])
+    ]
+    data = sample_report()
+    data.other["inspection"] = {"findings": [FINDING], "photographs": photographs, "seconds": 1.0}
+    reader = read(report_page(data, sample_pictures()))
+    assert "No photograph shows a side (r_1). What to do: add photographs." in reader.text and "2.5 sr" in reader.text
+    marks = [attributes["class"] for tag, attributes in reader.attributes if tag in ("circle", "path")]
+    ours = [mark for mark in marks if mark and mark.startswith(("camera", "missing"))]
+    assert ours == ["camera", "camera bad", "camera", "missing"] and reader.tags.count("script") == 1
+
+
+def test_a_report_without_a_check_says_nothing_of_it() -> None:
+    assert "checked" not in report_page(sample_report(), sample_pictures())

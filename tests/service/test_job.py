@@ -46,14 +46,14 @@ def test_a_real_reconstruction_ends_in_a_mesh(stack: Stack, done: dict[str, Any]
 def test_every_result_is_listed_and_whole(stack: Stack, done: dict[str, Any]) -> None:
     listed = stack.http.get(f"/jobs/{done['id']}/artifacts").json()["artifacts"]
     names = {artifact["name"] for artifact in listed}
-    assert {"mesh.ply", "mesh.glb", "splats_2d.ply", "report.html", "report.json", "renders/test/r_0.png"} <= names
+    assert {"mesh.ply", "model.glb", "splats_2d.ply", "report.html", "report.json", "renders/test/r_0.png"} <= names
     assert "checkpoint" not in names
     for artifact in listed:
         data = stack.http.get(f"/jobs/{done['id']}/artifacts/{artifact['name']}").content
         assert len(data) == artifact["size"] and hashlib.sha256(data).hexdigest() == artifact["sha256"]
 
 
-@pytest.mark.parametrize("name", ["mesh.glb", "splats.ply", "report.html", "report.json", "log.txt"])
+@pytest.mark.parametrize("name", ["model.glb", "splats.ply", "report.html", "report.json", "log.txt"])
 def test_results_have_addresses_of_their_own(stack: Stack, done: dict[str, Any], name: str) -> None:
     answer = stack.http.get(f"/jobs/{done['id']}/{name}")
     assert answer.status_code == 200 and len(answer.content) > 200

@@ -58,6 +58,7 @@ def test_a_job_of_another_owner_does_not_exist(keyed: tuple[Stack, str, str], ti
             ("DELETE", ""),
             ("DELETE", "/data"),
             ("POST", "/retry"),
+            ("POST", "/rerun"),
             ("GET", "/events"),
             ("GET", "/mesh.ply"),
         ),

@@ -116,7 +116,7 @@ def test_every_operation_has_a_name_and_describes_its_errors(app: FastAPI) -> No
 def test_the_addresses_are_those_of_the_documentation(app: FastAPI) -> None:
     paths = set(app.openapi()["paths"])
     assert paths >= {"/jobs", "/jobs/{job_id}", "/jobs/{job_id}/events", "/jobs/{job_id}/retry", "/options", "/metrics"}
-    assert paths >= {f"/jobs/{{job_id}}/{name}" for name in ("mesh.ply", "mesh.glb", "report.html", "log.txt")}
+    assert paths >= {f"/jobs/{{job_id}}/{name}" for name in ("mesh.ply", "model.glb", "report.html", "log.txt")}
 
 
 def test_examples_hold_to_their_schemas(app: FastAPI) -> None:

@@ -17,14 +17,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mgsr.inspection.findings import Code, Finding, Inspection, Severity
 from mgsr.pipeline.progress import Event
 from mgsr.training.progress import Progress
+from service.views import FindingView
 from tests.service.stack import ROOT
 from worker import reporting
 from worker.attempt import folder_name, joined
 from worker.process import _environment
 from worker.publish import media_type
-from worker.reporting import AFTER, AFTER_SECONDS, AFTER_SHARE, BEFORE, CURVE_ROWS, Reporter
+from worker.reporting import AFTER, AFTER_SECONDS, AFTER_SHARE, BEFORE, CAMERAS, CURVE_ROWS, Reporter
 from worker.scratch import scratch_folder, sweep
 
 
@@ -46,6 +48,26 @@ def training(iteration: int, total: int = 1000, **more: Any) -> Event:
         "seconds": iteration / 100,
     }
     return Event("train", "", Progress("alone", iteration, total, done=iteration / total, **(fields | more)))
+
+
+def test_a_search_for_cameras_takes_its_share_of_the_progress(tmp_path: Path) -> None:
+    events = [Event("load", "reading"), Event("cameras", "features", done=0.5), Event("load", "read"), training(500)]
+    told = report(tmp_path, events)
+    assert [item["step"] for item in told] == ["load", "cameras", "load", "train"]
+    places = [item["progress"] for item in told]
+    assert places == sorted(places) and places[1] == CAMERAS / 2 and places[2] > CAMERAS
+    assert told[1]["step_progress"] == 0.5 and told[1]["step_eta_seconds"] is not None
+    alone = report(tmp_path, [training(500)])[0]["progress"]
+    assert places[3] == pytest.approx(CAMERAS + (1 - CAMERAS) * alone, abs=0.01)
+
+
+def test_findings_of_the_check_are_passed_on(tmp_path: Path) -> None:
+    finding = Finding(Code.BLURRED, Severity.WARNING, "text", 2.0, "times", "cure", ("a", "b"))
+    event = Event("check", "1 warning", inspection=Inspection((finding,), (), 0.5))
+    (told,) = report(tmp_path, [event])
+    assert told["step"] == "check" and BEFORE["load"] < told["progress"] < BEFORE["start"]
+    assert told["findings"][0]["photographs"] == ("a", "b") and json.dumps(told)
+    FindingView.model_validate(told["findings"][0])
 
 
 def test_training_as_a_person_sees_it(tmp_path: Path) -> None:
@@ -142,7 +164,7 @@ def test_curves_of_two_attempts_are_one() -> None:
     assert joined(earlier, []) == earlier and joined([], earlier) == earlier
 
 
-@pytest.mark.parametrize(("name", "kind"), [("mesh.obj", "model/obj"), ("mesh_textured.glb", "model/gltf-binary")])
+@pytest.mark.parametrize(("name", "kind"), [("mesh.obj", "model/obj"), ("model.glb", "model/gltf-binary")])
 def test_results_have_the_type_of_their_form(name: str, kind: str) -> None:
     """Check media types, also where the machine's own list says otherwise, as Debian's does of .obj."""
     assert media_type(name) == kind

@@ -125,6 +125,21 @@ def read(folder: SceneFolder) -> Capture:
     return replace(capture, points=points, notes=notes)
 
 
+def read_model(model_folder: Path, photos: SceneFolder) -> Capture:
+    """Read every registered image and every 3D point of the model in a folder, whose photographs lie in another one.
+
+    Raises SceneError where the model is missing or damaged.
+    """
+    marker = _marker(model_folder)
+    if marker is None:
+        raise SceneError(f"{model_folder.name}: there is no images.bin or images.txt; find the cameras again")
+    model = _read_images(model_folder.parent, marker)
+    cameras, points = _read_scene(model)
+    file = f"{model.where}/{marker.name}"
+    found = photos.find_photos(file, [image.name for image in model.images])
+    return replace(Capture.of(found, lambda i, path: _photo(path, model.images[i], cameras, file)), points=points)
+
+
 def _find_models(root: Path) -> tuple[str, list[Path]]:
     """Return the first of _PLACES that has models, and their images files.
 

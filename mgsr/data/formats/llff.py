@@ -14,7 +14,7 @@ import numpy as np
 from mgsr.data.capture import Capture, Format, Photo
 from mgsr.data.npz import DAMAGE
 from mgsr.data.number_files import LARGEST_CAPTURE, folders_in, photographs_in, read_lines
-from mgsr.data.odd_files import is_video, require_content
+from mgsr.data.odd_files import is_video_name, require_content
 from mgsr.data.photo_files import SceneFolder
 from mgsr.data.poses import from_world_from_cam, intrinsics, rigid
 from mgsr.errors import SceneError, in_short
@@ -99,7 +99,7 @@ def _places(folder: SceneFolder) -> list[Path]:
 
 def _mismatch(folder: SceneFolder, count: int, places: list[Path]) -> str:
     if not places:
-        videos = any(is_video(path) for path in folder.root.iterdir())
+        videos = any(is_video_name(path) for path in folder.root.iterdir())
         cure = "take one frame of each video, into images/" if videos else "put them into images/"
         return f"{_FILE}: cameras of {count} photographs, but there are none; {cure}, in the order of the cameras"
     number = len(photographs_in(places[0]))

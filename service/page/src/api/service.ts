@@ -3,7 +3,7 @@
 import { Connection } from "./connection";
 import { Problem, Unreachable, isAbort, readProblem } from "./problem";
 import { pieces } from "./stream";
-import type { Artifact, JobList, Options } from "./types";
+import type { Artifact, Job, JobList, JobOptions, Options } from "./types";
 
 const KEY = "mgsr-key";
 
@@ -53,6 +53,13 @@ export class Service extends EventTarget {
 
   async retry(job: string): Promise<void> {
     await this.request(`/jobs/${job}/retry`, { method: "POST" });
+  }
+
+  /** Start a new job from the archive of another, with these of its options changed; the new job's id. */
+  async rerun(job: string, options: JobOptions): Promise<string> {
+    const query = encodeURIComponent(JSON.stringify(options));
+    const answer = await this.request(`/jobs/${job}/rerun?options=${query}`, { method: "POST" });
+    return ((await answer.json()) as Job).id;
   }
 
   async remove(job: string): Promise<void> {

@@ -19,6 +19,20 @@ export interface Failure {
   peak_memory_bytes: number | null;
 }
 
+/** One thing that the check of the photographs found. */
+export interface Finding {
+  code: string;
+  severity: "error" | "warning" | "note";
+  text: string;
+  amount: number;
+  unit: string;
+  cure: string;
+  /** Those concerned; empty where it is all of them. */
+  photographs: string[];
+  /** Camera positions from which photographs are missing. */
+  places: [number, number, number][];
+}
+
 /** What changes while a job runs: a progress event carries some of these. */
 export interface Progress {
   status: JobStatus;
@@ -40,6 +54,8 @@ export interface Progress {
   previews: Record<string, number>;
   attempt: number | null;
   memory_bytes: number | null;
+  /** The worst first; null before the check. */
+  findings: Finding[] | null;
 }
 
 export interface Job extends Progress {
@@ -50,10 +66,19 @@ export interface Job extends Progress {
   cancelling: boolean;
   curve: CurvePoint[];
   queue_position: number | null;
+  /** The job whose archive this one took over. */
+  rerun_of: string | null;
   round: number;
   error: Failure | null;
   metrics: Metrics;
   options: JobOptions;
+}
+
+/** What a run at a preset is expected to take. */
+export interface Estimate {
+  preset: string;
+  seconds: number;
+  memory_mib: number;
 }
 
 /** The headline figures of report.json. */
@@ -64,6 +89,8 @@ export interface Metrics {
   gaussians?: Record<string, number>;
   seconds?: number | Record<string, number>;
   peak_memory_mib?: number;
+  /** Of a dry run, which has no other figures. */
+  estimate?: Estimate[];
 }
 
 export type SettingValue = boolean | number | string | null;

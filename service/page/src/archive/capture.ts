@@ -1,8 +1,8 @@
-// What a person picked or dropped, as one archive to send.
+// What a person picked or dropped, as one archive or video to send.
 
 import { tar, type Member } from "./tar";
 
-/** An archive, and what it is called. files: how many it was made of; null where it was one already. */
+/** An archive or a video, and what it is called. files: how many it was made of; null where it was one already. */
 export interface Capture {
   name: string;
   archive: Blob;
@@ -15,6 +15,10 @@ const TYPES: [RegExp, string][] = [
   [/\.tar$/i, "application/x-tar"],
   [/\.(tar\.gz|tgz)$/i, "application/gzip"],
   [/\.(tar\.zst|tzst)$/i, "application/zstd"],
+  [/\.(mp4|m4v|3gp)$/i, "video/mp4"],
+  [/\.mov$/i, "video/quicktime"],
+  [/\.webm$/i, "video/webm"],
+  [/\.mkv$/i, "video/x-matroska"],
 ];
 // What systems leave behind in folders.
 const LITTER = /(^|\/)(\.|__MACOSX\/|Thumbs\.db$|desktop\.ini$)/;
@@ -69,5 +73,5 @@ function withoutTop(members: Member[]): { folder: string | null; inside: Member[
 }
 
 function stem(name: string): string {
-  return name.replace(/\.(zip|tar|tar\.gz|tgz|tar\.zst|tzst)$/i, "");
+  return name.replace(/\.(zip|tar|tar\.gz|tgz|tar\.zst|tzst|mp4|m4v|3gp|mov|webm|mkv)$/i, "");
 }

@@ -16,6 +16,8 @@ const STEPS: Record<string, string> = {
   fetch: "Fetching the photographs",
   unpack: "Unpacking the archive",
   load: "Reading the photographs",
+  cameras: "Finding the cameras",
+  check: "Checking the photographs",
   start: "Finding where to start",
   train: "Training",
   export: "Writing the splats",
@@ -45,6 +47,14 @@ export const PRESETS: Record<string, string> = {
   high: "More detail, takes longest",
 };
 
+/** The preset after a job's: after a draft the usual one, then the best; null after that. */
+export function nextPreset(preset: string): string | null {
+  const names = Object.keys(PRESETS);
+  return names[names.indexOf(preset) + 1] ?? null;
+}
+
+const SEVERITIES: Record<string, string> = { error: "Error", warning: "Warning", note: "Note" };
+
 export const METHODS: Record<string, string> = {
   mgsr: "Surface and light split (recommended)",
   "2dgs": "Flat Gaussians alone: surface, no light split",
@@ -67,6 +77,7 @@ const TROUBLES: Record<string, string> = {
   job_ended: "The job has ended already.",
   job_open: "The job is still going on. Cancel it first.",
   not_retryable: "Trying again would not help here.",
+  archive_gone: "The photographs of this job are gone. Send them again.",
   no_results: "The job has no results.",
   artifact_unknown: "The job has no such file.",
   not_yet: "That is not there yet.",
@@ -77,7 +88,7 @@ const TROUBLES: Record<string, string> = {
   webhook_refused: "The service may not call this webhook address.",
   archive_missing: "Nothing was in the upload.",
   archive_too_large: "The archive is larger than the service takes.",
-  archive_unsupported: "This is no zip, tar, tar.gz or tar.zst archive.",
+  archive_unsupported: "This is neither an archive (zip, tar, tar.gz, tar.zst) nor a video (mp4, mov, webm).",
   archive_damaged: "The archive is damaged. Pack it again.",
   archive_unsafe_member: "The archive has an entry that could leave its folder, so it was refused.",
   archive_too_many_members: "The archive has too many files.",
@@ -104,6 +115,7 @@ const TROUBLES: Record<string, string> = {
   internal: "A defect of MGSR ended the job. The log tells more.",
 };
 
+export const severityWord = (severity: string): string => SEVERITIES[severity] ?? severity;
 export const statusWord = (status: string): string => STATUS[status] ?? status;
 export const stageWord = (stage: string): string => STAGES[stage] ?? stage.replaceAll("_", " ");
 

@@ -1,7 +1,7 @@
-// The mesh of a GLB as MGSR writes it: one node, colours at the vertices.
+// The mesh of a GLB as MGSR writes it: one node, one material with its maps.
 
 import { DirectionalLight, DoubleSide, Group, HemisphereLight, Mesh, MeshBasicMaterial, MeshNormalMaterial } from "three";
-import { MeshStandardMaterial, type Material, type Object3D, type Quaternion, type Sphere, type Vector3 } from "three";
+import { MeshStandardMaterial, type Material, type Object3D, type Quaternion, type Sphere, type Texture, type Vector3 } from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 
 /** colour: as it is, without lights; clay: grey under lights, for the shape. */
@@ -16,17 +16,21 @@ export interface Placement {
 export class MeshObject {
   readonly object = new Group();
   readonly bounds: Sphere;
-  private readonly materials: Record<Surface, Material> = {
-    colour: new MeshBasicMaterial({ vertexColors: true, side: DoubleSide }),
-    clay: new MeshStandardMaterial({ color: 0xb9b6b0, roughness: 0.75, side: DoubleSide }),
-    normals: new MeshNormalMaterial({ side: DoubleSide }),
-    wireframe: new MeshBasicMaterial({ color: 0x3a86c8, wireframe: true }),
-  };
+  private readonly materials: Record<Surface, Material>;
+  private readonly maps: (Texture | null)[];
 
   constructor(
     private readonly mesh: Mesh,
     readonly placement: Placement,
   ) {
+    const { map, normalMap } = mesh.material as MeshStandardMaterial;
+    this.maps = [map, normalMap];
+    this.materials = {
+      colour: new MeshBasicMaterial({ map, side: DoubleSide }),
+      clay: new MeshStandardMaterial({ color: 0xb9b6b0, roughness: 0.75, normalMap, side: DoubleSide }),
+      normals: new MeshNormalMaterial({ normalMap, side: DoubleSide }),
+      wireframe: new MeshBasicMaterial({ color: 0x3a86c8, wireframe: true }),
+    };
     this.object.add(mesh, new HemisphereLight(0xffffff, 0x8d8a85, 1.6), keyLight());
     mesh.geometry.computeBoundingSphere();
     mesh.updateWorldMatrix(true, false);
@@ -41,6 +45,7 @@ export class MeshObject {
   dispose(): void {
     this.mesh.geometry.dispose();
     for (const material of Object.values(this.materials)) material.dispose();
+    for (const map of this.maps) map?.dispose();
   }
 }
 
@@ -60,7 +65,7 @@ function firstMesh(scene: Object3D): Mesh {
   scene.traverse((node) => {
     if (found === undefined && node instanceof Mesh) found = node;
   });
-  if (found === undefined) throw new Error("mesh.glb has no mesh");
+  if (found === undefined) throw new Error("model.glb has no mesh");
   return found;
 }
 

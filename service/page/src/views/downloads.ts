@@ -9,8 +9,9 @@ import { onPress } from "../parts/press";
 import { explain } from "../parts/words";
 
 const ABOUT: Record<string, string> = {
-  "mesh.glb": "Mesh for viewers and modelling programs, y up",
-  "mesh_textured.glb": "The same with fewer triangles, and a picture on them that shows the rest",
+  "model.glb": "Textured model for viewers, games and modelling programs, y up",
+  "model.usdz": "The same for devices by Apple",
+  "environment.exr": "The light around the object, to render it in",
   "mesh.obj": "Mesh for older programs",
   "mesh.ply": "Mesh in the frame of your cameras",
   "splats_3d.ply": "3D Gaussians, for splat viewers",
@@ -59,7 +60,7 @@ function row(service: Service, job: Job, artifact: Artifact): HTMLElement {
   );
 }
 
-/** "vase-mesh.glb" for the mesh of the job "vase". */
+/** "vase-model.glb" for the model of the job "vase". */
 function fileName(job: Job, artifact: Artifact): string {
   const name = (job.name ?? "mgsr").replace(/[^\p{L}\p{N}._-]+/gu, "_");
   return `${name}-${artifact.name.replaceAll("/", "-")}`;

@@ -23,7 +23,7 @@ export function homeView(service: Service, options: Options, tray: UploadTray): 
       "div",
       { class: "intro" },
       h("h1", {}, "Surfaces from photographs"),
-      h("p", { class: "lead" }, "Photographs with known camera poses in; a mesh, splats and clean renders out."),
+      h("p", { class: "lead" }, "Photographs or a video in; a mesh, splats and clean renders out."),
     ),
     picker.element,
     listing.element,
@@ -54,9 +54,10 @@ class Picker {
   }
 
   private makeZone(): HTMLElement {
-    const archive = h("input", { type: "file", class: "unseen", accept: ".zip,.tar,.tgz,.gz,.tzst,.zst", tabindex: -1, "aria-hidden": "true" });
+    const accept = "image/*,video/*,.mkv,.zip,.tar,.tgz,.gz,.tzst,.zst";
+    const single = h("input", { type: "file", class: "unseen", accept, multiple: true, tabindex: -1, "aria-hidden": "true" });
     const folder = h("input", { type: "file", class: "unseen", webkitdirectory: true, tabindex: -1, "aria-hidden": "true" });
-    for (const input of [archive, folder]) {
+    for (const input of [single, folder]) {
       input.addEventListener("change", () => {
         this.take(pickedFiles(input.files!));
         input.value = "";
@@ -65,20 +66,21 @@ class Picker {
     const zone = h(
       "div",
       { class: "zone" },
-      h("p", { class: "headline" }, "Drop a folder or an archive here"),
+      h("p", { class: "headline" }, "Drop photographs, a video, a folder or an archive here"),
       h(
         "div",
         { class: "actions" },
-        h("button", { type: "button", onclick: () => archive.click() }, "Choose an archive"),
+        h("button", { type: "button", onclick: () => single.click() }, "Choose files"),
         h("button", { type: "button", onclick: () => folder.click() }, "Choose a folder"),
       ),
       h(
         "p",
         { class: "note" },
-        "Photographs with their poses, as COLMAP, nerfstudio, Blender or NeuS write them. ",
-        `zip, tar, tar.gz or tar.zst, up to ${bytes(this.options.max_upload)}.`,
+        "Twenty or more photographs from all around, or a video of a walk around the object. Their cameras are found first, ",
+        "unless they come with them, as COLMAP, nerfstudio, Metashape and many others write them. ",
+        `Archives: zip, tar, tar.gz or tar.zst. Videos: mp4, mov or webm. Up to ${bytes(this.options.max_upload)}.`,
       ),
-      archive,
+      single,
       folder,
     );
     this.acceptDrops(zone);
@@ -108,7 +110,7 @@ class Picker {
 
   private refusal(capture: Capture | null): string | null {
     if (this.tray.busy) return "An upload is under way. Wait for its end, or cancel it.";
-    if (capture === null) return "There were no files in it. Choose a folder of photographs, or an archive.";
+    if (capture === null) return "There were no files in it. Choose photographs, a video, a folder of photographs, or an archive.";
     if (capture.archive.size <= this.options.max_upload) return null;
     const [has, limit] = [bytes(capture.archive.size), bytes(this.options.max_upload)];
     return `This has ${has}; the service takes at most ${limit}. Use smaller or fewer images.`;
@@ -116,7 +118,8 @@ class Picker {
 
   private ask(capture: Capture): void {
     const form = new OptionsForm(this.options, capture.name);
-    const files = capture.files === null ? "archive" : capture.files === 1 ? "1 file" : `${count(capture.files)} files`;
+    const whole = capture.type.startsWith("video/") ? "video" : "archive";
+    const files = capture.files === null ? whole : capture.files === 1 ? "1 file" : `${count(capture.files)} files`;
     const close = () => {
       this.after.replaceChildren();
       this.zone.hidden = false;

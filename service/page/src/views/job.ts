@@ -9,8 +9,10 @@ import { h, setText } from "../parts/dom";
 import { moment } from "../parts/format";
 import { announce, errorBox } from "../parts/notice";
 import { pressButton } from "../parts/press";
-import { activity, statusWord } from "../parts/words";
+import { activity, nextPreset, statusWord } from "../parts/words";
+import { estimateSection } from "./estimate";
 import { failureCard } from "./failure";
+import { FindingsSection } from "./findings";
 import { LivePanel } from "./live";
 import { ResultsPanel } from "./results";
 import type { View } from "./view";
@@ -28,6 +30,7 @@ class JobView {
   private readonly about = h("span", { class: "note" });
   private readonly actions = h("div", { class: "actions" });
   private readonly trouble = h("div");
+  private readonly findings = new FindingsSection();
   private readonly body = h("div", { class: "body" });
   private stop = new AbortController();
   private job: Job | null = null;
@@ -44,6 +47,7 @@ class JobView {
       h("nav", { "aria-label": "Back" }, h("a", { href: "#/" }, "← All jobs")),
       h("div", { class: "title" }, this.name, h("p", {}, this.status, " ", this.about), this.actions),
       this.trouble,
+      this.findings.element,
       this.body,
     );
     void this.follow();
@@ -81,6 +85,7 @@ class JobView {
     this.status.dataset["status"] = job.status;
     setText(this.about, `${job.options.preset ?? ""} · ${moment(job.created)}`);
     if (before?.status !== job.status || before.cancelling !== job.cancelling) this.offerActions(job);
+    this.findings.update(job.findings);
     if (job.finished === null) this.showLive(job);
     else if (before === null || before.finished !== job.finished) this.showEnd(job);
     if (before === null || activity(before) !== activity(job) || before.status !== job.status) this.tell(job);
@@ -99,7 +104,10 @@ class JobView {
   private showEnd(job: Job): void {
     this.live?.leave();
     this.live = null;
-    if (job.status === "succeeded") {
+    if (job.metrics.estimate !== undefined) {
+      const start = (preset: string) => this.tried(() => this.rerun(preset));
+      this.body.replaceChildren(estimateSection(job.metrics.estimate, start));
+    } else if (job.status === "succeeded") {
       this.results = new ResultsPanel(this.service, job);
       this.body.replaceChildren(this.results.element);
     } else {
@@ -118,6 +126,8 @@ class JobView {
     } else {
       const again = job.status === "cancelled" || (job.status === "failed" && job.error?.retryable === true);
       if (again) shown.push(this.button("Retry", "main", () => this.retry()));
+      const next = job.metrics.estimate === undefined ? nextPreset(job.options.preset ?? "standard") : null;
+      if (next !== null) shown.push(this.button(`Run again as ${next}`, again ? "" : "main", () => this.rerun(next)));
       shown.push(this.button("Delete", "", () => this.remove(job)));
     }
     const held = this.actions.contains(document.activeElement);
@@ -126,10 +136,12 @@ class JobView {
   }
 
   private button(text: string, className: string, act: () => Promise<void>): HTMLButtonElement {
-    return pressButton(text, className, async () => {
-      this.trouble.replaceChildren();
-      await act().catch((error: unknown) => this.trouble.replaceChildren(errorBox(error)));
-    });
+    return pressButton(text, className, () => this.tried(act));
+  }
+
+  private async tried(act: () => Promise<void>): Promise<void> {
+    this.trouble.replaceChildren();
+    await act().catch((error: unknown) => this.trouble.replaceChildren(errorBox(error)));
   }
 
   private async cancel(): Promise<void> {
@@ -140,6 +152,10 @@ class JobView {
   private async retry(): Promise<void> {
     await this.service.retry(this.id);
     void this.follow();
+  }
+
+  private async rerun(preset: string): Promise<void> {
+    location.hash = `#/jobs/${await this.service.rerun(this.id, { preset })}`;
   }
 
   private async remove(job: Job): Promise<void> {

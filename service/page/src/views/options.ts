@@ -26,7 +26,7 @@ const OFTEN: Record<string, { label: string; note: string; words?: Record<string
     words: { transmitted: "The object's own colour", full: "As photographed, with reflections" },
   },
   "mesh.close_holes": { label: "Close holes", note: "Also where no photograph saw the surface." },
-  "output.texture": { label: "Texture of the mesh, pixels a side", note: "Also writes a mesh with a picture on it, e.g. 2048." },
+  "output.texture": { label: "Texture of the model, pixels a side", note: "Without it, as fine as the photographs." },
 };
 /** What the form asks in its own way. */
 const ASKED = new Set(["name", "preset", "method", "settings"]);

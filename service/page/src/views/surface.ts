@@ -37,9 +37,9 @@ export class SurfaceSection {
 
   /** A picture, and a button that loads the viewer. */
   private invite(): void {
-    const mesh = this.find("mesh.glb");
+    const mesh = this.find("model.glb");
     const splats = this.find(...SPLATS);
-    if (mesh === undefined) return this.stage.replaceChildren(h("p", { class: "note" }, "The job has no mesh."));
+    if (mesh === undefined) return this.stage.replaceChildren(h("p", { class: "note" }, "The job has no model."));
     const state = h("span", {}, "Show in 3D");
     const size = h("span", { class: "note" }, bytes(mesh.size + (splats?.size ?? 0)));
     const button = h("button", { type: "button", class: "main" }, state);

@@ -1,0 +1,59 @@
+"""The seconds and the memory that a run will take, from the cost model of time budgets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mgsr.budget import costs
+from mgsr.budget.budget import reference_training
+from mgsr.budget.costs import Facts
+from mgsr.config import Config
+
+# Fitted to the runs of benchmarks/results/runs.csv on the CPU: MiB of the program with its libraries, of a million
+# pixels of photographs, of the surface's octree for each doubling beyond the preset draft's, and of 1,000 splats beyond
+# the preset standard's.
+_PROGRAM, _PHOTOGRAPHS, _SURFACE, _SPLATS = 880.0, 33.0, 550.0, 15.0
+_DRAFT_DEPTH, _USUAL_SPLATS = 7, 30_000
+
+
+@dataclass(frozen=True)
+class Speed:
+    """How many times longer than the reference machine this one takes.
+
+    training: for iterations, which may run on a card. rest: for all else.
+    """
+
+    training: float
+    rest: float
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a run at a preset is expected to take. seconds: the whole run; steps: seconds by step."""
+
+    preset: str
+    seconds: float
+    memory_mib: float
+    steps: dict[str, float]
+
+
+def estimate_run(preset: str, facts: Facts, config: Config, speed: Speed, before: dict[str, float]) -> Estimate:
+    """Return the estimate of a run with these settings. before: measured seconds of the steps that need no estimate."""
+    steps = before | {
+        "start": speed.rest * costs.start_cost(facts),
+        "train": speed.training * reference_training(facts, config),
+        "mesh": speed.rest * costs.mesh_cost(facts, config.mesh, refined=1.0),
+        "evaluate": speed.rest * costs.judging_cost(facts),
+        "report": speed.rest * costs.closing_cost(facts),
+    }
+    rounded = {name: round(seconds, 1) for name, seconds in steps.items()}
+    return Estimate(preset, round(sum(steps.values()), 1), round(memory_mib(facts, config)), rounded)
+
+
+def memory_mib(facts: Facts, config: Config) -> float:
+    """Return the most memory, MiB, that the process of a run on the CPU will hold."""
+    photographs = (facts.views + facts.tests) * facts.pixels / 1e6
+    surface = _SURFACE * max(0.0, 2.0 ** (config.mesh.poisson_depth - _DRAFT_DEPTH) - 1)
+    splats = config.train.surfels.densify.max_count + config.train.gaussians.max_start
+    extra = max(0, splats - _USUAL_SPLATS) / 1000
+    return _PROGRAM + _PHOTOGRAPHS * photographs + surface + _SPLATS * extra

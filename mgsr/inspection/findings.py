@@ -1,0 +1,126 @@
+"""What an inspection of a capture finds: records with a code, a severity, an amount, the photographs and the cure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+_NAMED = 3  # photographs that a line names
+
+
+class Severity(StrEnum):
+    """error: the result would be wrong; warning: it loses accuracy or lacks a part; note: good to know."""
+
+    ERROR = "error"
+    WARNING = "warning"
+    NOTE = "note"
+
+
+class Code(StrEnum):
+    """The kinds of findings; stable, for programs."""
+
+    BLURRED = "blurred"
+    EXPOSURE_JUMPS = "exposure_jumps"
+    WRONG_POSES = "wrong_poses"
+    DOUBLED_STRUCTURE = "doubled_structure"
+    CONTRADICTORY_POSE = "contradictory_pose"
+    INACCURATE_POSES = "inaccurate_poses"
+    SEPARATE_GROUPS = "separate_groups"
+    SIMILAR_PLACES = "similar_places"
+    MOVING_BACKGROUND = "moving_background"
+    UNSEEN_SIDE = "unseen_side"
+    LITTLE_PARALLAX = "little_parallax"
+    FEW_PHOTOGRAPHS = "few_photographs"
+    SMALL_OBJECT = "small_object"
+    CUT_OFF = "cut_off"
+    CONTRADICTORY_MASK = "contradictory_mask"
+    MIXED_LENSES = "mixed_lenses"
+    WIDE_LENS = "wide_lens"
+    SMALL_IMAGES = "small_images"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was found.
+
+    text: what it is, a sentence without a full stop. amount and unit: how bad it is ("px", "sr", "deg", "share",
+    "times", "photographs"). cure: what to do. photographs: the names of those concerned, empty where it is all of them.
+    places: camera positions [3] in the user's frame, from which photographs are missing.
+    """
+
+    code: Code
+    severity: Severity
+    text: str
+    amount: float
+    unit: str
+    cure: str
+    photographs: tuple[str, ...] = ()
+    places: tuple[tuple[float, float, float], ...] = ()
+
+    @property
+    def line(self) -> str:
+        """Return the finding in one line."""
+        named = f" ({shown(self.photographs)})" if self.photographs else ""
+        return f"{self.severity}: {self.text}{named}; {self.cure}"
+
+
+@dataclass(frozen=True)
+class InspectedPhoto:
+    """One photograph as it was inspected.
+
+    center and direction: of its camera, in the user's frame. residual: the median distance of matches from the epipolar
+    lines of the cameras, and reprojection: of points that three or more photographs share from their places in the
+    image, in pixels of the photograph; None where too few features match.
+    """
+
+    name: str
+    center: tuple[float, float, float]
+    direction: tuple[float, float, float]
+    residual: float | None
+    reprojection: float | None
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """The findings, the worst first, and the photographs that were inspected. seconds: that it took."""
+
+    findings: tuple[Finding, ...]
+    photographs: tuple[InspectedPhoto, ...]
+    seconds: float
+
+    @property
+    def worst(self) -> Severity | None:
+        """Return the severity of the worst finding, None without any."""
+        return self.findings[0].severity if self.findings else None
+
+    @property
+    def contradictory(self) -> tuple[str, ...]:
+        """Return the names of the photographs whose poses contradict the others'."""
+        poses = (Code.DOUBLED_STRUCTURE, Code.CONTRADICTORY_POSE)
+        return tuple(name for finding in self.findings if finding.code in poses for name in finding.photographs)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the inspection as plain types, without its seconds: it is the same for the same photographs."""
+        plain: dict[str, Any] = asdict(self)
+        del plain["seconds"]
+        return plain
+
+
+def sorted_by_severity(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return the findings with the worst first."""
+    order = list(Severity)
+    return tuple(sorted(findings, key=lambda finding: order.index(finding.severity)))
+
+
+def shown(names: Sequence[str]) -> str:
+    """Return the first few of the names, as a list in words."""
+    return ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
+
+
+def pick(names: Sequence[str], indices: np.ndarray) -> tuple[str, ...]:
+    """Return the names at indices [K]."""
+    return tuple(names[int(index)] for index in indices)

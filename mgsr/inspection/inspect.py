@@ -1,0 +1,122 @@
+"""Inspect a capture before training: what would spoil the result, in which photographs, and what to do."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from mgsr.data.scene import Scene, View, some_of
+from mgsr.inspection.coverage import check_parallax, check_sides
+from mgsr.inspection.features import Features, find_features
+from mgsr.inspection.findings import Code, Finding, InspectedPhoto, Inspection, Severity, sorted_by_severity
+from mgsr.inspection.pairs import FEWEST, Likeness, Pair, compare_pairs
+from mgsr.inspection.photo_check import (
+    check_exposures,
+    check_lenses,
+    check_masks,
+    check_object_size,
+    check_sharpness,
+)
+from mgsr.inspection.pose_check import check_movement, check_poses, group_by_pose
+from mgsr.inspection.tracks import Tracks, find_tracks
+from mgsr.inspection.verdicts import Judged, Verdict, judge
+
+MOST = 300  # photographs whose features are compared, spread over all
+
+_FEW_POINTS = 50  # tracks, below which their middle says nothing
+
+
+def inspect_scene(scene: Scene, progress: Callable[[float], None] = lambda done: None) -> Inspection:
+    """Return what is wrong with the photographs, cameras and masks of a scene.
+
+    progress: told of the share that is done, 0..1; it may raise. Nothing in the scene changes.
+    """
+    started_at = time.perf_counter()
+    views = [*scene.train, *scene.test]
+    names = photo_names(scene)
+    # Photographs of tests are named alike, so that an index finds both.
+    chosen = some_of(range(len(views)), MOST)
+    compared = [views[index] for index in chosen]
+    features = find_features(compared)
+    progress(0.4)
+    judged = _judged_pairs(compared, features, lambda done: progress(0.4 + 0.5 * done))
+    tracks = find_tracks([view.camera for view in compared], features, judged.of(Verdict.AGREES))
+    compared_names = [names[index] for index in chosen]
+    found = check_poses(compared_names, [len(one) for one in features], judged)
+    found += check_movement(judged.pairs)
+    found += check_photographs(scene, views, names, tracks)
+    photographs = _photographs(scene, compared, compared_names, judged.pairs, tracks)
+    return Inspection(sorted_by_severity(found), photographs, time.perf_counter() - started_at)
+
+
+def _judged_pairs(views: Sequence[View], features: Sequence[Features], progress: Callable[[float], None]) -> Judged:
+    """Return the pairs of like photographs, and then those of each group of photographs with the largest group."""
+    likeness = Likeness.of(views, features)
+    count = len(views)
+    pairs = compare_pairs(
+        views, features, likeness.pairs(~np.eye(count, dtype=bool)), lambda done: progress(0.7 * done)
+    )
+    cameras = [view.camera for view in views]
+    group = group_by_pose(count, judge(cameras, features, pairs)).group
+    rich = np.array([len(one) for one in features]) >= FEWEST
+    across = (group[:, None] > 0) & (group[None] == 0) & rich[:, None] & rich[None]
+    known = {(pair.one, pair.other) for pair in pairs}
+    more = [pair for pair in likeness.pairs(across) if pair not in known]
+    pairs += compare_pairs(views, features, more, lambda done: progress(0.7 + 0.3 * done))
+    return judge(cameras, features, pairs)
+
+
+def check_photographs(scene: Scene, views: Sequence[View], names: Sequence[str], tracks: Tracks) -> list[Finding]:
+    """Return the findings that need no pairs of photographs. tracks: points that photographs share."""
+    found = [*check_sharpness(views, names), *check_exposures(views, names)]
+    found += check_sides([view.camera for view in views], names, scene.user_from_scene)
+    target = np.median(tracks.points, axis=0) if len(tracks.points) >= _FEW_POINTS else np.zeros(3)
+    found += check_parallax(np.array([view.camera.center for view in views]), target)
+    found += check_object_size(scene, views)
+    found += check_masks(scene.train, names[: len(scene.train)]) if scene.masked else []
+    found += check_lenses(views, names)
+    if scene.warning is not None:
+        what, _, cure = scene.warning.partition("; ")
+        found.append(Finding(Code.FEW_PHOTOGRAPHS, Severity.WARNING, what, len(scene.train), "photographs", cure))
+    return found
+
+
+def photo_names(scene: Scene) -> list[str]:
+    """Return the names of the training and test photographs; a test's is `test/NAME` where a training one has NAME."""
+    trained = {view.name for view in scene.train}
+    test = [f"test/{view.name}" if view.name in trained else view.name for view in scene.test]
+    return [*(view.name for view in scene.train), *test]
+
+
+def _photographs(
+    scene: Scene, views: Sequence[View], names: Sequence[str], pairs: Sequence[Pair], tracks: Tracks
+) -> tuple[InspectedPhoto, ...]:
+    reprojection = tracks.reprojection([view.camera for view in views])
+    residuals = _residuals(len(views), pairs)
+    found = []
+    for index, (view, name) in enumerate(zip(views, names, strict=True)):
+        camera = scene.user_from_scene.camera_to_user(view.camera)
+        x, y, z = camera.center.tolist()
+        right, down, forward = camera.cam_from_world[2, :3].tolist()
+        found.append(
+            InspectedPhoto(
+                name, (x, y, z), (right, down, forward), _rounded(residuals[index]), _rounded(reprojection[index])
+            )
+        )
+    return tuple(found)
+
+
+def _residuals(count: int, pairs: Sequence[Pair]) -> np.ndarray:
+    """Return each photograph's median residual [V], pixels, over the pairs whose matches share a geometry; or NaN."""
+    mine: list[list[float]] = [[] for _ in range(count)]
+    for pair in pairs:
+        if pair.own.any():
+            mine[pair.one].append(pair.residual * pair.scale)
+            mine[pair.other].append(pair.residual * pair.scale)
+    return np.array([np.median(each) if each else np.nan for each in mine])
+
+
+def _rounded(value: float) -> float | None:
+    return round(float(value), 2) if np.isfinite(value) else None

@@ -1,0 +1,153 @@
+"""Pairs of photographs held against their cameras: matches should lie on each other's epipolar lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsr.data.camera import Camera
+from mgsr.data.scene import View
+from mgsr.inspection.features import Features, match, similarity
+from mgsr.parallel import map_ahead
+
+# Photographs that each is compared with: the nearest by camera, and those that look most alike, wherever they are.
+NEAREST, ALIKE = 4, 5
+
+_INLIER = 1.5  # pixels of the image of the features, from the epipolar line of the pair's own geometry
+FEWEST = 24  # matches in one geometry, below which a pair says nothing; by chance there are about 10
+_MOST = 0.6  # share of the matches on the epipolar lines of the cameras that needs no other explanation
+_OFF = 4.0  # pixels from the epipolar line of the cameras, beyond which a match contradicts them
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two photographs.
+
+    matches [M,2]: indices of their features. own [M] bool: those that one epipolar geometry of the images' own
+    explains, whatever the cameras. residuals [M]: distance of each match from the epipolar lines of the cameras
+    (Sampson's), in pixels of the images of the features. still [M] bool: those that lie at the same pixel of both
+    images although the cameras say otherwise; the rest does not count them. moved: matches that a second geometry
+    explains, where the cameras explain others. scale: pixels of the photograph for one of the images of the features.
+    """
+
+    one: int
+    other: int
+    matches: np.ndarray
+    own: np.ndarray
+    residuals: np.ndarray
+    still: np.ndarray
+    moved: int
+    scale: float
+
+    @property
+    def residual(self) -> float:
+        """Return the median residual of the matches that share a geometry; NaN without any."""
+        return float(np.median(self.residuals[self.own])) if self.own.any() else float("nan")
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """How far each two cameras are apart, and how much their photographs look alike, both [V,V]."""
+
+    apart: np.ndarray
+    alike: np.ndarray
+
+    @classmethod
+    def of(cls, views: Sequence[View], features: Sequence[Features]) -> Likeness:
+        """Return the likeness of the photographs with these features."""
+        return cls(camera_distances([view.camera for view in views]), similarity(features))
+
+    def pairs(self, allowed: np.ndarray) -> list[tuple[int, int]]:
+        """Return the pairs to compare, of those that are allowed [V,V] bool, as sorted indices.
+
+        Cameras alone would not do: where one structure has two copies, the photographs of the second are far from those
+        of the first.
+        """
+        chosen = set()
+        for table, most in ((self.apart, NEAREST), (-self.alike, ALIKE)):
+            costs = np.where(allowed, table, np.inf)
+            nearest = np.argsort(costs, axis=1, kind="stable")[:, :most]
+            ranked = ((i, int(j)) for i, row in enumerate(nearest) for j in row if np.isfinite(costs[i, j]))
+            chosen |= {(min(pair), max(pair)) for pair in ranked}
+        return sorted(chosen)
+
+
+def camera_distances(cameras: Sequence[Camera]) -> np.ndarray:
+    """Return how differently each two cameras stand and look, [C,C]: distance over spread, and turn in radians."""
+    centers = np.array([camera.center for camera in cameras])
+    axes = np.array([camera.cam_from_world[2, :3] for camera in cameras])
+    spread = np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean() or 1.0
+    between = np.linalg.norm(centers[:, None] - centers[None], axis=2) / spread
+    return np.asarray(between + np.arccos(np.clip(axes @ axes.T, -1, 1)))
+
+
+def compare_pairs(
+    views: Sequence[View],
+    features: Sequence[Features],
+    pairs: Sequence[tuple[int, int]],
+    progress: Callable[[float], None],
+) -> list[Pair]:
+    """Return the pairs with their matches and residuals. progress: told of the share that is done."""
+    compared = []
+    for pair in map_ahead(lambda item: _compare(views, features, *item), pairs, None):
+        compared.append(pair)
+        progress(len(compared) / len(pairs))
+    return compared
+
+
+def _compare(views: Sequence[View], features: Sequence[Features], one: int, other: int) -> Pair:
+    matches = match(features[one], features[other])
+    here, there = features[one].pixels[matches[:, 0]], features[other].pixels[matches[:, 1]]
+    scale = max(features[one].scale, features[other].scale)
+    residuals = epipolar_residuals(views[one].camera, views[other].camera, here, there) / scale
+    still = (np.linalg.norm(here - there, axis=1) < _INLIER * scale) & (residuals > _OFF)
+    own = ~still & (residuals < _INLIER)  # most pairs agree with their cameras, and need no other geometry
+    if own.sum() < max(FEWEST, _MOST * (~still).sum()):
+        own = _of_one_geometry(here / scale, there / scale, ~still)
+    off = ~still & ~own & (residuals > _OFF)
+    moved = _of_one_geometry(here / scale, there / scale, off).sum()
+    return Pair(one, other, matches, own, residuals, still, int(moved), scale)
+
+
+def _of_one_geometry(here: np.ndarray, there: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """Return which matches [M,2], [M,2], of those `among` [M] bool, one epipolar geometry explains, [M] bool.
+
+    None where there are too few.
+    """
+    found = np.zeros(len(among), bool)
+    if among.sum() >= FEWEST:
+        inside = same_geometry(here[among], there[among])
+        if inside.sum() >= FEWEST:
+            found[among] = inside
+    return found
+
+
+def same_geometry(here: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Return which matches [M,2], [M,2] the best fundamental matrix explains, [M] bool; none where there is none."""
+    import cv2  # late: training needs no OpenCV
+
+    found, inside = cv2.findFundamentalMat(here, there, cv2.FM_RANSAC, _INLIER, 0.999, 1000)
+    if found is None or found.shape != (3, 3) or inside is None:
+        return np.zeros(len(here), bool)
+    return np.asarray(inside.ravel() > 0)
+
+
+def epipolar_residuals(one: Camera, other: Camera, here: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Return Sampson's distance [M], pixels, of matches [M,2], [M,2] from the epipolar geometry of two cameras."""
+    fundamental = fundamental_matrix(one, other)
+    left = np.column_stack([here, np.ones(len(here))])
+    right = np.column_stack([there, np.ones(len(there))])
+    lines, back = left @ fundamental.T, right @ fundamental
+    error = np.abs((right * lines).sum(axis=1))
+    return np.asarray(error / np.sqrt((lines[:, :2] ** 2).sum(axis=1) + (back[:, :2] ** 2).sum(axis=1) + 1e-18))
+
+
+def fundamental_matrix(one: Camera, other: Camera) -> np.ndarray:
+    """Return the matrix F [3,3] with x_other^T F x_one = 0 for the images of one point, at unit Frobenius norm."""
+    relative = other.cam_from_world @ one.world_from_cam
+    x, y, z = relative[:3, 3]
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    matrix = np.linalg.inv(other.K).T @ cross @ relative[:3, :3] @ np.linalg.inv(one.K)
+    return np.asarray(matrix / max(float(np.linalg.norm(matrix)), 1e-300))

@@ -1,0 +1,174 @@
+"""Flaws of single photographs, of their masks and of their lenses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mgsr.data.exposure import brightness_offsets, robust_jump
+from mgsr.data.odd_masks import FEWEST, left_out_shares
+from mgsr.data.scene import Scene, View
+from mgsr.data.sharpness import MUCH, lost_sharpness
+from mgsr.data.silhouettes import silhouettes
+from mgsr.inspection.findings import Code, Finding, Severity, pick
+
+_JUMPS = 0.05  # the spread of log light that is more than chance
+_OUTLIER = np.log(2.0)  # of log light against the neighbours', beyond which highlights or shadows are lost
+_SMALL_SHARE, _SMALL_PIXELS = 0.2, 100  # of the shorter side of the image, and in pixels: the object's diameter
+_CUT_OFF = 0.5  # share of the photographs
+_LEFT_OUT = 0.3  # share of the object, as the other masks have it, that a mask leaves out; 0.24 happens with few views
+_OUTLINE_SIDE = 200  # pixels at which masks are compared
+_FOCAL = 0.1  # relative difference of focal lengths
+_WIDE = 100.0  # degrees across the image
+_SMALL_SIDE = 480  # pixels
+
+
+def check_sharpness(views: Sequence[View], names: Sequence[str]) -> list[Finding]:
+    """Return a finding on photographs that are much less sharp than their neighbours."""
+    lost = lost_sharpness(views)
+    less = np.flatnonzero(lost > MUCH)
+    if not len(less):
+        return []
+    return [
+        Finding(
+            Code.BLURRED,
+            Severity.WARNING,
+            f"{len(less)} of {len(views)} photographs are much less sharp than their neighbours",
+            round(float(2 ** np.median(lost[less])), 2),
+            "times",
+            "take them again, or leave them out with `--set flawed=drop`",
+            pick(names, less),
+        )
+    ]
+
+
+def check_exposures(views: Sequence[View], names: Sequence[str]) -> list[Finding]:
+    """Return a finding where photographs are much brighter or darker than those from about the same place."""
+    if len(views) < 6:
+        return []
+    offsets = brightness_offsets(views)
+    spread = robust_jump(offsets)
+    odd = np.flatnonzero(np.abs(offsets - np.median(offsets)) > max(_OUTLIER, 5 * spread))
+    if spread < _JUMPS and not len(odd):
+        return []
+    return [
+        Finding(
+            Code.EXPOSURE_JUMPS,
+            Severity.WARNING if len(odd) else Severity.NOTE,
+            f"the light changes by {np.expm1(spread):.0%} from one photograph to its neighbours"
+            + (f", and by twice or more in {len(odd)}" if len(odd) else ""),
+            round(float(np.exp(np.abs(offsets).max())), 2),
+            "times",
+            "fix exposure and white balance of the camera; MGSR evens what is left, except for clipped light",
+            pick(names, odd),
+        )
+    ]
+
+
+def check_object_size(scene: Scene, views: Sequence[View]) -> list[Finding]:
+    """Return a finding where the object covers a small part of the photographs, or few pixels."""
+    if scene.masked:
+        areas = [float((view.alpha > 127).sum()) for view in views if view.alpha is not None]
+        diameters = 2 * np.sqrt(np.array(areas) / np.pi)
+    else:
+        # The object, or what most cameras look at, is the unit ball.
+        far = [float(np.linalg.norm(view.camera.center)) for view in views]
+        focal = [view.camera.K[0, 0] for view in views]
+        diameters = 2 * np.array(focal) / np.maximum(far, 1e-9)
+    sides = np.array([min(view.camera.width, view.camera.height) for view in views[: len(diameters)]])
+    pixels, share = float(np.median(diameters)), float(np.median(diameters / sides))
+    if share >= _SMALL_SHARE and pixels >= _SMALL_PIXELS:
+        return []
+    return [
+        Finding(
+            Code.SMALL_OBJECT,
+            Severity.WARNING,
+            f"the object is {pixels:.0f} pixels wide, {share:.0%} of the shorter side of the image",
+            round(pixels, 1),
+            "px",
+            "come nearer, zoom in, or use larger photographs",
+        )
+    ]
+
+
+def check_masks(views: Sequence[View], names: Sequence[str]) -> list[Finding]:
+    """Return findings on masks that cut the object off, or that contradict the others; the views need masks."""
+    outlines = silhouettes(views, _OUTLINE_SIDE)
+    found = []
+    cut = np.array([not outline.whole for outline in outlines])
+    if cut.mean() >= _CUT_OFF:
+        found.append(
+            Finding(
+                Code.CUT_OFF,
+                Severity.NOTE,
+                f"{cut.sum()} of {len(views)} photographs do not show the object whole",
+                int(cut.sum()),
+                "photographs",
+                "step back for some of them, if parts of the surface are missing",
+                pick(names, np.flatnonzero(cut)),
+            )
+        )
+    if len(views) < FEWEST:
+        return found
+    shares = left_out_shares(views, outlines)
+    odd = np.flatnonzero(shares > _LEFT_OUT)
+    if len(odd):
+        found.append(
+            Finding(
+                Code.CONTRADICTORY_MASK,
+                Severity.WARNING,
+                f"the masks of {len(odd)} of {len(views)} photographs leave out a part of what the others have",
+                round(float(shares[odd].max()), 3),
+                "share",
+                "mend or remove these masks; if all look right, the poses are wrong",
+                pick(names, odd),
+            )
+        )
+    return found
+
+
+def check_lenses(views: Sequence[View], names: Sequence[str]) -> list[Finding]:
+    """Return findings on focal lengths and image sizes."""
+    cameras = [view.camera for view in views]
+    found = []
+    # The diagonal, so that a photograph that was turned counts as the same lens.
+    focal = np.array([camera.K[0, 0] / np.hypot(camera.width, camera.height) for camera in cameras])
+    other = np.flatnonzero(np.abs(focal / np.median(focal) - 1) > _FOCAL)
+    if len(other):
+        found.append(
+            Finding(
+                Code.MIXED_LENSES,
+                Severity.NOTE,
+                f"{len(other)} of {len(views)} photographs have another focal length than the others",
+                round(float(focal.max() / focal.min()), 2),
+                "times",
+                "if they were neither zoomed nor cropped, their cameras are wrong: `mgsr poses`",
+                pick(names, other),
+            )
+        )
+    across = [2 * np.degrees(np.arctan(max(camera.width, camera.height) / 2 / camera.K[0, 0])) for camera in cameras]
+    if (widest := float(np.median(across))) > _WIDE:
+        found.append(
+            Finding(
+                Code.WIDE_LENS,
+                Severity.NOTE,
+                f"the images are {widest:.0f} degrees wide, so that the object gets few of their pixels",
+                round(widest, 1),
+                "deg",
+                "use the main lens of the camera, or come nearer",
+            )
+        )
+    side = float(np.median([max(camera.width, camera.height) for camera in cameras]))
+    if side < _SMALL_SIDE:
+        found.append(
+            Finding(
+                Code.SMALL_IMAGES,
+                Severity.NOTE,
+                f"the photographs have {side:.0f} pixels along their longer side",
+                side,
+                "px",
+                "larger ones, up to 1600 pixels, give finer detail",
+            )
+        )
+    return found

@@ -1,0 +1,210 @@
+"""Poses that contradict the photographs: single ones, whole clusters with a copy of the structure, all of them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from mgsr.inspection.findings import Code, Finding, Severity, pick
+from mgsr.inspection.pairs import FEWEST, Pair
+from mgsr.inspection.verdicts import Judged, Verdict, usual_residual
+
+CLUSTER = 3  # photographs of a cluster that has a copy of the structure to itself
+_LEAST_CONTRADICTIONS = 2  # pairs that must hold against a photograph or a cluster
+_ACCUSED = 0.5  # share of a cluster that must be in such pairs; a part that repeats elsewhere puts few there
+_MANY = 0.1  # share of the photographs with contradictory poses that is an error
+_INACCURATE = 1.5  # pixels of the images of the features, median of all photographs
+_REPEATED = 0.15  # pairs that contradict, in proportion to those that agree, inside one group
+_CONNECTED = 0.8  # share of the photographs with many features that one group should have
+_MOVING = 0.15  # share of the matches that follow another motion, in the mean of the pairs
+
+_LEAVE_OUT = "`--set flawed=drop` leaves them out"
+_ANEW = "find the cameras anew (`mgsr poses`)"
+
+
+@dataclass(frozen=True)
+class PoseGroups:
+    """Photographs grouped by pairs that agree. group [V]: a number for each photograph; the largest group has 0.
+
+    contradictions [V]: pairs of the photograph that contradict a photograph of another group. decided [V] bool: whether
+    any pair of it agrees or contradicts.
+    """
+
+    group: np.ndarray
+    contradictions: np.ndarray
+    decided: np.ndarray
+
+    @property
+    def contradictory(self) -> np.ndarray:
+        """Return which photographs have poses that contradict those of the largest group, [V] bool."""
+        against = np.bincount(self.group, weights=self.contradictions)
+        least = np.maximum(_LEAST_CONTRADICTIONS, np.bincount(self.group))
+        accused = np.bincount(self.group, weights=self.contradictions > 0) / np.bincount(self.group)
+        wrong = (against >= least) & (accused >= _ACCUSED)
+        return np.asarray((self.group > 0) & wrong[self.group])
+
+
+def group_by_pose(count: int, judged: Judged) -> PoseGroups:
+    """Group so many photographs by the pairs that agree."""
+    agreeing, against = (
+        np.array([(pair.one, pair.other) for pair in judged.of(verdict)], np.int64).reshape(-1, 2)
+        for verdict in (Verdict.AGREES, Verdict.CONTRADICTS)
+    )
+    graph = coo_matrix((np.ones(len(agreeing), bool), (agreeing[:, 0], agreeing[:, 1])), shape=(count, count))
+    label = connected_components(graph, directed=False)[1]
+    order = [name for name, _ in Counter(label.tolist()).most_common()]
+    group = np.argsort(order)[label]
+    # A photograph that nothing agrees with may itself be the wrong one of a pair: only the largest group accuses.
+    between = against[(group[against] == 0).sum(axis=1) == 1]
+    accused = between[group[between] > 0]
+    decided = np.zeros(count, bool)
+    decided[agreeing.ravel()] = decided[against.ravel()] = True
+    return PoseGroups(group, np.bincount(accused, minlength=count), decided)
+
+
+def check_poses(names: Sequence[str], features: Sequence[int], judged: Judged) -> list[Finding]:
+    """Return what contradicts the poses of the photographs of these names. features: their numbers of features."""
+    groups = group_by_pose(len(names), judged)
+    agree, against = len(judged.of(Verdict.AGREES)), judged.of(Verdict.CONTRADICTS)
+    if len(against) > max(agree, len(names) // 4):
+        return [_all_wrong(len(against), agree, against)]
+    found = [*_clusters(names, groups, against), *_single(names, groups), *_inaccurate(judged.pairs, len(names))]
+    if not found:
+        found += _separate(names, groups, features)
+    inside = sum(groups.group[pair.one] == groups.group[pair.other] for pair in judged.off_lines)
+    if inside >= max(5, _REPEATED * agree):
+        found.append(
+            Finding(
+                Code.SIMILAR_PLACES,
+                Severity.WARNING,
+                f"{inside} pairs of photographs look alike, but their cameras see different places",
+                inside,
+                "pairs",
+                "if the object has no repeated parts, the cameras have drifted or their ring does not close: " + _ANEW,
+            )
+        )
+    return found
+
+
+def _all_wrong(against: int, agree: int, pairs: Sequence[Pair]) -> Finding:
+    return Finding(
+        Code.WRONG_POSES,
+        Severity.ERROR,
+        f"the cameras do not belong to the photographs: {against} pairs of photographs contradict them, {agree} agree",
+        round(float(np.median([pair.residual for pair in pairs])), 1),
+        "px",
+        "check the order of the photographs, the axes of the poses and the focal length, or " + _ANEW,
+    )
+
+
+def _clusters(names: Sequence[str], groups: PoseGroups, against: Sequence[Pair]) -> list[Finding]:
+    """Return a finding for each cluster of photographs that sees a copy of the structure elsewhere."""
+    found = []
+    sizes = np.bincount(groups.group)
+    for number in np.unique(groups.group[groups.contradictory]):
+        if sizes[number] < CLUSTER:
+            continue
+        mine = np.flatnonzero(groups.group == number)
+        between = [pair for pair in against if (groups.group[[pair.one, pair.other]] == number).sum() == 1]
+        off = float(np.median([pair.residual for pair in between]))
+        found.append(
+            Finding(
+                Code.DOUBLED_STRUCTURE,
+                Severity.ERROR,
+                f"{len(mine)} photographs see a second copy of what the others see: matches of {len(between)} pairs "
+                f"are off by {off:.0f} px, though the {len(mine)} agree among themselves",
+                round(off, 1),
+                "px",
+                f"{_ANEW}, with more photographs between the two groups, or {_LEAVE_OUT}",
+                pick(names, mine),
+            )
+        )
+    return found
+
+
+def _single(names: Sequence[str], groups: PoseGroups) -> list[Finding]:
+    """Return a finding for the photographs, alone or in twos, whose poses contradict the others'."""
+    sizes = np.bincount(groups.group)
+    mine = np.flatnonzero(groups.contradictory & (sizes[groups.group] < CLUSTER))
+    if not len(mine):
+        return []
+    severity = Severity.ERROR if len(mine) > _MANY * len(names) else Severity.WARNING
+    return [
+        Finding(
+            Code.CONTRADICTORY_POSE,
+            severity,
+            f"the poses of {len(mine)} of {len(names)} photographs contradict what they show",
+            len(mine),
+            "photographs",
+            f"{_LEAVE_OUT}, or {_ANEW}",
+            pick(names, mine),
+        )
+    ]
+
+
+def _inaccurate(pairs: Sequence[Pair], count: int) -> list[Finding]:
+    """Return a finding where the cameras of so many photographs are not wrong, but less exact than usual."""
+    told = sum(pair.own.sum() >= FEWEST for pair in pairs)
+    middle = usual_residual(pairs)
+    if told < max(5, count / 2) or middle < _INACCURATE:
+        return []
+    return [
+        Finding(
+            Code.INACCURATE_POSES,
+            Severity.WARNING,
+            f"the cameras fit the photographs to {middle:.1f} px only, in the median of {told} pairs",
+            round(middle, 2),
+            "px",
+            f"{_ANEW}; 0.5 px or better is usual",
+        )
+    ]
+
+
+def _separate(names: Sequence[str], groups: PoseGroups, features: Sequence[int]) -> list[Finding]:
+    """Return a finding where photographs that have many features fall into groups without a common one."""
+    rich = np.array(features) >= 4 * FEWEST
+    others = rich & groups.decided & (groups.group > 0)
+    total = int((rich & groups.decided).sum())
+    if total < max(2 * CLUSTER, len(names) / 2) or others.sum() <= (1 - _CONNECTED) * total:
+        return []
+    return [
+        Finding(
+            Code.SEPARATE_GROUPS,
+            Severity.NOTE,
+            f"{others.sum()} of {total} photographs share no features with the largest group, so that their poses "
+            "can't be compared with the others'",
+            int(others.sum()),
+            "photographs",
+            "add photographs between the groups if the surface is doubled or torn",
+            pick(names, np.flatnonzero(others)),
+        )
+    ]
+
+
+def check_movement(pairs: Sequence[Pair]) -> list[Finding]:
+    """Return a finding where a part of the photographs does not move with the cameras."""
+    told = [pair for pair in pairs if len(pair.matches) >= FEWEST]
+    if len(told) < 5:
+        return []
+    still = np.array([pair.still.sum() for pair in told])
+    moved = np.array([pair.moved for pair in told])
+    counts = np.array([len(pair.matches) for pair in told])
+    share = float(((still + moved) / counts)[(still + moved) >= FEWEST // 2].sum() / len(told))
+    if share < _MOVING:
+        return []
+    cause = "stands still in the image (a turntable?)" if still.sum() > moved.sum() else "moves by itself"
+    return [
+        Finding(
+            Code.MOVING_BACKGROUND,
+            Severity.WARNING,
+            f"{share:.0%} of what the photographs share {cause}, against the cameras",
+            round(share, 3),
+            "share",
+            "give masks of the object, or of what moves (docs/inputs.md, Masks)",
+        )
+    ]

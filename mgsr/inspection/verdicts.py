@@ -1,0 +1,144 @@
+"""Whether the matches of a pair of photographs agree with its cameras.
+
+Epipolar lines can't tell a camera that has moved along them. Three photographs of the same points can.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from mgsr.data.camera import Camera
+from mgsr.inspection.features import Features
+from mgsr.inspection.pairs import FEWEST, Pair
+from mgsr.inspection.triangulation import spread
+
+# Pixels of the images of the features, and the same in proportion to what is usual in the capture: cameras of phones
+# are less accurate than those of structure from motion, and not contradictory.
+_AGREES = (1.5, 3.0)
+_CONTRADICTS = (5.0, 8.0)
+_MEETS = (2.0, 4.0)
+_MOST_USUAL = 4.0
+_SHARED = 8  # points of three photographs, below which they say nothing
+
+
+class Verdict(StrEnum):
+    """What a pair's matches say of its cameras."""
+
+    AGREES = "agrees"
+    CONTRADICTS = "contradicts"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Pairs with a verdict on each. lines: the verdict by the epipolar lines alone."""
+
+    pairs: tuple[Pair, ...]
+    verdicts: tuple[Verdict, ...]
+    lines: tuple[Verdict, ...]
+
+    def of(self, verdict: Verdict) -> list[Pair]:
+        """Return the pairs with this verdict."""
+        return [pair for pair, given in zip(self.pairs, self.verdicts, strict=True) if given is verdict]
+
+    @property
+    def off_lines(self) -> list[Pair]:
+        """Return the pairs whose matches are far from the epipolar lines."""
+        return [pair for pair, given in zip(self.pairs, self.lines, strict=True) if given is Verdict.CONTRADICTS]
+
+
+def usual_residual(pairs: Sequence[Pair]) -> float:
+    """Return the median residual of the pairs with enough matches, pixels of the images of the features; 0 without."""
+    told = [pair.residual for pair in pairs if pair.own.sum() >= FEWEST]
+    return float(np.median(told)) if told else 0.0
+
+
+def judge(cameras: Sequence[Camera], features: Sequence[Features], pairs: Sequence[Pair]) -> Judged:
+    """Return the pairs with their verdicts: by the epipolar lines, and by the points that three photographs share.
+
+    A pair agrees if it is part of three photographs whose rays meet. It contradicts if it is only part of such whose
+    rays miss each other, and is not proved by others.
+    """
+    usual = min(usual_residual(pairs), _MOST_USUAL)
+    lines = [_by_lines(pair, usual) for pair in pairs]
+    meets = {
+        triple: rays < _limit(_MEETS, usual) for triple, rays in _triples(cameras, features, pairs) if rays is not None
+    }
+    met = {edge for triple, good in meets.items() if good for edge in _edges(triple)}
+    missed = {edge for triple, good in meets.items() if not good for edge in _edges(triple)} - met
+    verdicts = []
+    for pair, line in zip(pairs, lines, strict=True):
+        edge = (pair.one, pair.other)
+        if line is Verdict.CONTRADICTS or edge in missed:
+            verdicts.append(Verdict.CONTRADICTS)
+        else:
+            verdicts.append(Verdict.AGREES if edge in met else line)
+    return Judged(tuple(pairs), tuple(verdicts), tuple(lines))
+
+
+def _limit(limit: tuple[float, float], usual: float) -> float:
+    return max(limit[0], limit[1] * usual)
+
+
+def _by_lines(pair: Pair, usual: float) -> Verdict:
+    if pair.own.sum() < FEWEST:
+        return Verdict.UNKNOWN
+    if pair.residual < _limit(_AGREES, usual):
+        return Verdict.AGREES
+    return Verdict.CONTRADICTS if pair.residual > _limit(_CONTRADICTS, usual) else Verdict.UNKNOWN
+
+
+Triple = tuple[int, int, int]
+
+
+def _edges(triple: Triple) -> tuple[tuple[int, int], ...]:
+    i, j, k = triple
+    return (i, j), (i, k), (j, k)
+
+
+def _triples(
+    cameras: Sequence[Camera], features: Sequence[Features], pairs: Sequence[Pair]
+) -> list[tuple[Triple, float | None]]:
+    """Return each three photographs that were compared with each other, and by how much their rays miss, in pixels.
+
+    None where they share too few points.
+    """
+    tables = {(pair.one, pair.other): _table(pair, len(features[pair.one])) for pair in pairs if pair.own.any()}
+    after: dict[int, set[int]] = {}
+    for one, other in tables:
+        after.setdefault(one, set()).add(other)
+    found: list[tuple[Triple, float | None]] = []
+    for i, j in tables:
+        for k in after.get(i, set()) & after.get(j, set()):
+            found.append(((i, j, k), _rays_miss(cameras, features, tables, (i, j, k))))
+    return found
+
+
+def _table(pair: Pair, count: int) -> np.ndarray:
+    """Return the match of each of the first photograph's features in the other, [N]; -1 without one."""
+    table = np.full(count, -1)
+    kept = pair.matches[pair.own]
+    table[kept[:, 0]] = kept[:, 1]
+    return table
+
+
+def _rays_miss(
+    cameras: Sequence[Camera],
+    features: Sequence[Features],
+    tables: dict[tuple[int, int], np.ndarray],
+    triple: Triple,
+) -> float | None:
+    i, j, k = triple
+    first = np.flatnonzero((tables[i, j] >= 0) & (tables[i, k] >= 0))
+    second, third = tables[i, j][first], tables[i, k][first]
+    same = tables[j, k][second] == third
+    if same.sum() < _SHARED:
+        return None
+    indices = (first[same], second[same], third[same])
+    pixels = [features[photo].pixels[index] for photo, index in zip(triple, indices, strict=True)]
+    scale = max(features[photo].scale for photo in triple)
+    return spread([cameras[photo] for photo in triple], pixels) / scale

@@ -1,0 +1,158 @@
+"""Baking of a full surface into the texture of a mesh with fewer faces: colour, normals and occlusion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from mgsr.config import MeshConfig
+from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.raycast import RayCaster, RayHits
+from mgsr.mesh.colors import TOLERANCE, seen_colors
+from mgsr.mesh.surface import ReconstructedMesh
+from mgsr.mesh.unwrap import UnwrappedMesh
+from mgsr.mesh.views import SurfaceView
+
+# Texels in a batch, to bound the memory for all views' samples.
+_TEXELS_AT_ONCE = 1 << 19
+_ROWS_AT_ONCE = 256
+# Cosine between the normals of two surfaces below which they are different sides of a sheet.
+OPPOSED = 0.2
+# Pixel footprints by which the depths around a pixel may differ; more is an occlusion edge.
+_EDGE = 10.0
+
+
+@dataclass(frozen=True)
+class Texels:
+    """The texels whose centres lie on a chart.
+
+    size: the picture's height and width. index [T]: flat, in row order. face [T]: of the unwrapped mesh at each, and
+    shares [T,3] its barycentric coordinates there. points, normals [T,3]: the nearest place of the full surface, and
+    its unit normal; where that faces another way, as beyond a thin sheet, the unwrapped mesh's.
+    """
+
+    size: tuple[int, int]
+    index: np.ndarray
+    face: np.ndarray
+    shares: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+
+    def parts(self) -> Iterator[slice]:
+        """Yield slices of the texels, to bound memory."""
+        for start in range(0, len(self.index), _TEXELS_AT_ONCE):
+            yield slice(start, start + _TEXELS_AT_ONCE)
+
+    def picture(self, values: np.ndarray) -> np.ndarray:
+        """Return the picture [H,W,...] of values [T,...]; each texel beside the charts takes the nearest one's."""
+        height, width = self.size
+        filled = np.zeros((height * width, *values.shape[1:]), values.dtype)
+        filled[self.index] = values
+        if not len(self.index):
+            return filled.reshape(height, width, *values.shape[1:])
+        empty = np.ones((height, width), np.uint8)
+        empty.ravel()[self.index] = 0
+        _, labels = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+        sources = np.zeros(labels.max() + 1, np.int64)
+        sources[labels.ravel()[self.index]] = self.index
+        return np.asarray(filled[sources[labels]])
+
+
+def find_texels(unwrapped: UnwrappedMesh, full: Mesh) -> Texels:
+    """Find the texels of an unwrapped mesh, and their places on the full surface, with its normals."""
+    index, face, shares = _charted(unwrapped)
+    places = _interpolated(unwrapped.vertices, unwrapped.faces[face], shares)
+    nearest, at = full.caster.nearest(places)
+    points = _interpolated(full.vertices, full.faces[nearest], at)
+    normals = _unit(_interpolated(full.normals, full.faces[nearest], at))
+    own = _unit(_interpolated(unwrapped.normals, unwrapped.faces[face], shares))
+    alike = (normals * own).sum(axis=1, keepdims=True) > OPPOSED
+    return Texels(unwrapped.size, index, face, shares, points, np.where(alike, normals, own))
+
+
+def bake_colors(
+    texels: Texels,
+    full: ReconstructedMesh,
+    views: Sequence[SurfaceView],
+    config: MeshConfig,
+    threads: int | None = None,
+) -> np.ndarray:
+    """Return the texels' colours [T,3] float32 sRGB 0..1.
+
+    Each blends the views that see its place, as in `seen_colors`, but visibility comes from ray casting the full
+    surface, and pixels at occlusion edges do not count. A texel that no view sees takes the vertices' colours.
+    """
+    visible = [_with_depth_of(full.caster, view) for view in views]
+    tolerance = config.consistency or TOLERANCE
+    painted = np.zeros((len(texels.index), 3), np.float32)
+    for part in texels.parts():
+        points = texels.points[part]
+        colors, seen = seen_colors(points, texels.normals[part], visible, config.min_alpha, tolerance, threads)
+        face, shares = full.caster.nearest(points[~seen])
+        colors[~seen] = _interpolated(full.colors, full.faces[face], shares)
+        painted[part] = colors
+    return painted
+
+
+def bake_normals(texels: Texels, unwrapped: UnwrappedMesh) -> np.ndarray:
+    """Return the normals [T,3] of the full surface in the tangent space of the unwrapped mesh, unit.
+
+    x runs along the tangent, y along the bitangent, z along the normal. As in MikkTSpace, the three are interpolated
+    and not made unit again, so that a renderer that does the same gets the full surface's normals.
+    """
+    baked = np.empty((len(texels.index), 3), np.float32)
+    axes = np.stack([unwrapped.tangents[:, :3], unwrapped.bitangents(), unwrapped.normals], axis=2)
+    for part in texels.parts():
+        frame = np.einsum("pkij,pk->pij", axes[unwrapped.faces[texels.face[part]]], texels.shares[part])
+        turned = np.linalg.solve(frame + 1e-9 * np.eye(3), texels.normals[part][..., None])[..., 0]
+        turned[turned[:, 2] < 0.05, 2] = 0.05  # a renderer shows black where the map looks away from the surface
+        baked[part] = _unit(turned)
+    return baked
+
+
+def _charted(unwrapped: UnwrappedMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Find the texels whose centres lie on a chart, by ray casting the flat charts.
+
+    Returns their flat indices [T] in row order, the face [T] at each, and its barycentric coordinates [T,3] there.
+    """
+    height, width = unwrapped.size
+    flat = np.zeros((len(unwrapped.uvs), 3), np.float32)
+    flat[:, :2] = unwrapped.uvs * (width, height)
+    caster = Mesh(flat, unwrapped.faces).caster
+    index, faces, shares = [], [], []
+    for top in range(0, height, _ROWS_AT_ONCE):
+        rows, columns = np.mgrid[top : min(top + _ROWS_AT_ONCE, height), :width].astype(np.float32) + 0.5
+        above = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
+        hits = caster.cast_rays(above, np.broadcast_to(np.array([0, 0, -1], np.float32), above.shape))
+        index.append(np.flatnonzero(hits.mask) + top * width)
+        faces.append(hits.face[hits.mask])
+        shares.append(hits.barycentric[hits.mask])
+    return np.concatenate(index), np.concatenate(faces), np.concatenate(shares)
+
+
+def _with_depth_of(caster: RayCaster, view: SurfaceView) -> SurfaceView:
+    """Replace a view's depth by the mesh's, and mask out pixels at occlusion edges, which mix two colours."""
+    hits = caster.cast(view.camera)
+    inside = _inside(hits, view)
+    return replace(view, depth=hits.depth, mask=inside if view.mask is None else inside & view.mask)
+
+
+def _inside(hits: RayHits, view: SurfaceView) -> np.ndarray:
+    """Return the pixels [H,W] bool that show the surface away from its occlusion edges."""
+    around = np.ones((3, 3), np.uint8)
+    nearest, farthest = cv2.erode(hits.depth, around), cv2.dilate(hits.depth, around)
+    inside: np.ndarray = (nearest > 0) & (farthest - nearest <= _EDGE * hits.depth / view.camera.K[0, 0])
+    return inside
+
+
+def _interpolated(values: np.ndarray, corners: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Interpolate vertex values [V,C] in triangles; corners [P,3]: vertex indices; shares [P,3]: barycentric."""
+    blended: np.ndarray = np.einsum("pkc,pk->pc", values[corners], shares)
+    return blended
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))

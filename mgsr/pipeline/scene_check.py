@@ -1,0 +1,86 @@
+"""The inspection of a capture as a step of a run, and a scene without the photographs whose poses contradict it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import compress
+
+from mgsr.config import Config, DataConfig, Flawed
+from mgsr.data.scene import Scene
+from mgsr.errors import SceneError
+from mgsr.inspection.findings import Code, Inspection, shown
+from mgsr.inspection.inspect import inspect_scene, photo_names
+from mgsr.pipeline.progress import Event
+from mgsr.pipeline.steps import Steps
+
+# Findings that notes of the reading tell already.
+_NOTED = (Code.BLURRED, Code.FEW_PHOTOGRAPHS)
+
+
+@dataclass(frozen=True)
+class CheckedScene:
+    """A scene and its inspection; None where the settings ask for none."""
+
+    scene: Scene
+    inspection: Inspection | None
+
+
+def check_scene(scene: Scene, config: Config, step: Steps) -> CheckedScene:
+    """Inspect a scene, report the findings, and leave out contradictory photographs where `data.flawed` is drop.
+
+    Raises Cancelled where a stop is asked for, and SceneError where too few photographs are left.
+    """
+    if not config.data.check and config.data.flawed is Flawed.KEEP:
+        return CheckedScene(scene, None)
+    text = "checking photographs and cameras"
+    with step("check", text):
+        inspection = inspect_scene(scene, step.share("check", text))
+        for finding in inspection.findings:
+            if finding.code not in _NOTED:
+                step.progress(Event("check", finding.line))
+        step.progress(Event("check", summary(inspection), inspection=inspection))
+    if config.data.flawed is Flawed.DROP:
+        kept = without_contradictory(scene, inspection)
+        for note in kept.notes[len(scene.notes) :]:
+            step.progress(Event("check", note))
+        scene = kept
+    return CheckedScene(scene, inspection)
+
+
+def without_flawed(scene: Scene, config: DataConfig) -> Scene:
+    """Return the scene under `Flawed.DROP` without the photographs whose poses contradict what they show.
+
+    Raises SceneError.
+    """
+    return without_contradictory(scene, inspect_scene(scene)) if config.flawed is Flawed.DROP else scene
+
+
+def without_contradictory(scene: Scene, inspection: Inspection) -> Scene:
+    """Return the scene without the photographs whose poses contradict the others', with a note on them.
+
+    Raises SceneError where fewer than two training photographs are left.
+    """
+    names = photo_names(scene)
+    odd = inspection.contradictory
+    if not odd:
+        return scene
+    kept = [name not in odd for name in names]
+    train = list(compress(scene.train, kept))
+    test = list(compress(scene.test, kept[len(scene.train) :]))
+    if len(train) < 2:
+        raise SceneError(f"{scene.name}: {len(train)} training photographs are left without those of wrong poses")
+    note = f"the poses of {len(odd)} of {len(names)} photographs contradict what they show ({shown(odd)}): left out"
+    return replace(scene, train=train, test=test, notes=(*scene.notes, note))
+
+
+def summary(inspection: Inspection) -> str:
+    """Return how many findings there are of each severity, in one line."""
+    counts = _counted([finding.severity for finding in inspection.findings])
+    photographs = f"{len(inspection.photographs)} photographs checked in {inspection.seconds:.1f} s"
+    return f"{photographs}: {counts or 'nothing was found'}"
+
+
+def _counted(severities: Sequence[str]) -> str:
+    kinds = list(dict.fromkeys(severities))
+    return ", ".join(f"{severities.count(kind)} {kind}" + ("s" if severities.count(kind) > 1 else "") for kind in kinds)

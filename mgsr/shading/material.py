@@ -1,0 +1,34 @@
+"""The physically based material of a surface: how rough it is, and whether it is a metal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Material:
+    """A material's constants, as in glTF's metallic-roughness model.
+
+    roughness: 0..1; its square is the width of the GGX lobe. roughness_range: the roughnesses that explain the
+    photographs as well; None where they do not tell, and the surface counts as matte. metallic: 0 for dielectrics, 1
+    for metals. tint [3]: a metal's reflectance, linear 0..1; None for a dielectric. light [H,2H,3]: the environment
+    that the surface mirrors, linear radiance in the photographs' unit, rows by the polar angle from the frame's z,
+    columns by the azimuth from its x; None where it is not known.
+    """
+
+    roughness: float = 1.0
+    roughness_range: tuple[float, float] | None = None
+    metallic: float = 0.0
+    tint: np.ndarray | None = None
+    light: np.ndarray | None = None
+
+    def to_json(self) -> dict[str, object]:
+        """Return the constants as plain types, for report.json."""
+        tint = None if self.tint is None else [float(each) for each in self.tint]
+        bounds = None if self.roughness_range is None else list(self.roughness_range)
+        return {"roughness": self.roughness, "roughness_range": bounds, "metallic": self.metallic, "tint": tint}
+
+
+MATTE = Material()

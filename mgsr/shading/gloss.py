@@ -93,6 +93,8 @@ def mirrorings(mesh: Mesh, views: Sequence[View], gap: float, threads: int | Non
 def fit_gloss(seen: Mirrorings) -> Material:
     """Fit the material of a glossy surface to its observations; MATTE where gloss does not explain them better."""
     gray = seen.colors.mean(axis=1)
+    if not (gray[seen.training].any() and gray[~seen.training].any()):
+        return MATTE
     dark = np.zeros(2 * HEIGHT**2)
     coat, metal = _Fit(seen, metallic=False), _Fit(seen, metallic=True)
     lights = [fit.solve(gray, ROUGHNESSES[0], dark, STEPS) for fit in (coat, metal)]

@@ -83,6 +83,12 @@ def test_a_matte_surface_is_matte() -> None:
     assert fit_gloss(photographed(0.3, False, np.ones(3), gloss=0.0)) is MATTE
 
 
+def test_a_surface_that_no_photograph_shows_is_matte() -> None:
+    nothing = np.zeros(0)
+    unseen = Mirrorings(nothing.astype(int), np.zeros((0, 3)), nothing, np.zeros((0, 3)), nothing, nothing > 0)
+    assert fit_gloss(unseen) is MATTE
+
+
 def test_lobes_blur_as_microfacets_do() -> None:
     lobes = ggx_lobes(0.5)
     polar = (np.arange(HEIGHT) + 0.5) / HEIGHT * np.pi

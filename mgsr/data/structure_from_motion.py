@@ -30,7 +30,7 @@ _LEAST_REGISTERED = 0.25
 _LENS_MODEL = "SIMPLE_RADIAL"
 _FOCAL_FACTOR = 1.2
 
-# Features are found in photographs reduced to so many pixels a side. A thread holds up to 900 MB for one of this size.
+# Features are found in photographs reduced to so many pixels a side. A thread holds up to 1 GB for one of this size.
 _FEATURE_SIDE = 2400
 _MOST_THREADS = 8
 # Half of COLMAP's contrast, so that plain objects have features too. On 56 photographs of 480 x 360 pixels of a matte

@@ -18,7 +18,7 @@ from mgsr.data.found_cameras import CameraFolder, DatabaseKeeper, SearchState, k
 from mgsr.data.gather_photos import find_photos, gather
 from mgsr.data.odd_files import videos_below
 from mgsr.data.photo_files import SceneFolder
-from mgsr.data.shared_lenses import Lens, Shot, describe_lenses, share_lenses
+from mgsr.data.shared_lenses import PhotoFile, SharedLens, describe_lenses, share_lenses
 from mgsr.data.structure_from_motion import SearchFolder, find_model, require_pycolmap
 from mgsr.data.video_frames import write_frames
 from mgsr.errors import Cancelled, ConfigError, SceneError
@@ -161,18 +161,18 @@ def choose_frames_of(
     return count, tuple(notes)
 
 
-def lenses_of(shots: Sequence[Shot], camera_per_image: bool, search: CameraSearch) -> list[Lens]:
+def lenses_of(shots: Sequence[PhotoFile], camera_per_image: bool, search: CameraSearch) -> list[SharedLens]:
     """Return the lenses of the photographs, and say how many there are."""
     if camera_per_image:
         search.say("a camera for each photograph")
-        return [Lens((shot,)) for shot in shots]
+        return [SharedLens((shot,)) for shot in shots]
     lenses = share_lenses(shots)
     search.say(describe_lenses(lenses))
     return lenses
 
 
 def _kept_model(
-    work: Path, folder: CameraFolder, lenses: Sequence[Lens], frames: bool, search: CameraSearch
+    work: Path, folder: CameraFolder, lenses: Sequence[SharedLens], frames: bool, search: CameraSearch
 ) -> tuple[Any, tuple[str, ...]]:
     """Return the model and notes on it; COLMAP's database is kept in the folder until the search is complete."""
     database = work / "database.db"

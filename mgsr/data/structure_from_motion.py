@@ -19,7 +19,7 @@ from typing import Any
 from mgsr.data.camera_search import CameraSearch, Tell
 from mgsr.data.image_pairs import choose_pairs
 from mgsr.data.registration import check_share
-from mgsr.data.shared_lenses import Lens
+from mgsr.data.shared_lenses import SharedLens
 from mgsr.data.zoom_check import zoom_note
 from mgsr.errors import Cancelled, ConfigError, SceneError, in_short
 from mgsr.parallel import core_count
@@ -91,7 +91,7 @@ def load_pycolmap() -> Any:
 
 
 def find_model(
-    folder: SearchFolder, lenses: Sequence[Lens], frames: bool, search: CameraSearch
+    folder: SearchFolder, lenses: Sequence[SharedLens], frames: bool, search: CameraSearch
 ) -> tuple[Any, tuple[str, ...]]:
     """Return COLMAP's largest model of the photographs, a pycolmap.Reconstruction, and notes on it.
 
@@ -116,7 +116,7 @@ def find_model(
 
 
 def _models(
-    colmap: Any, folder: SearchFolder, lenses: Sequence[Lens], frames: bool, search: CameraSearch
+    colmap: Any, folder: SearchFolder, lenses: Sequence[SharedLens], frames: bool, search: CameraSearch
 ) -> Sequence[Any]:
     """Run COLMAP's feature extraction, matching and incremental mapping; return its models."""
     colmap.set_random_seed(search.seed)
@@ -185,7 +185,7 @@ def _place(colmap: Any, folder: SearchFolder, count: int, search: CameraSearch) 
     return list(models.values())
 
 
-def write_cameras(colmap: Any, database: Path, folder: Path, lenses: Sequence[Lens]) -> None:
+def write_cameras(colmap: Any, database: Path, folder: Path, lenses: Sequence[SharedLens]) -> None:
     """Write a camera for each lens, and its photographs, into a new COLMAP database.
 
     COLMAP's own modes of camera sharing support neither several lenses in a folder nor EXIF in another file.
@@ -207,7 +207,7 @@ def write_cameras(colmap: Any, database: Path, folder: Path, lenses: Sequence[Le
             opened.write_frame(frame)
 
 
-def _camera(colmap: Any, folder: Path, lens: Lens) -> Any:
+def _camera(colmap: Any, folder: Path, lens: SharedLens) -> Any:
     """Return a COLMAP camera with the focal length that EXIF gives.
 
     The 35 mm equivalent comes first; else the real focal length with the sensor's size, which COLMAP knows for many

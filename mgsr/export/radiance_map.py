@@ -13,13 +13,13 @@ import numpy as np
 import OpenImageIO
 
 from mgsr.errors import MgsrError
-from mgsr.export.gltf import Up, turn_upright
+from mgsr.export.gltf import UpDirection, turn_upright
 from mgsr.shading.environment_fit import sample_map
 
 ROWS = 128  # of the picture; columns are twice as many
 
 
-def write_radiance_map(path: Path, light: np.ndarray, up: Up) -> None:
+def write_radiance_map(path: Path, light: np.ndarray, up: UpDirection) -> None:
     """Write an environment as OpenEXR of half floats.
 
     light [H,2H,3]: linear radiance, rows by the polar angle from the frame's z, columns by the azimuth from its x. up:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mgsr.errors import MgsrError
-from mgsr.export.gltf import PbrMaterial, Up, turn_upright
+from mgsr.export.gltf import PbrMaterial, UpDirection, turn_upright
 from mgsr.export.mesh_files import check_mesh, unit_normals
 from mgsr.geometry.mesh import Mesh
 
@@ -26,7 +26,7 @@ def require_usd() -> None:
         raise MgsrError("output.usdz: writing USD needs the package usd-core: pip install 'mgsr[usd]'")
 
 
-def write_usdz(path: Path, mesh: Mesh, uvs: np.ndarray, material: PbrMaterial, up: Up) -> None:
+def write_usdz(path: Path, mesh: Mesh, uvs: np.ndarray, material: PbrMaterial, up: UpDirection) -> None:
     """Write a mesh with a textured material as a USDZ package, y up.
 
     Arguments and errors as of `write_textured_glb`. Positions are about the mesh's middle, to which a transform moves

@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 
 from mgsr.config import MeshConfig
+from mgsr.config.expert import ColorOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster, RayHits
-from mgsr.mesh.colors import TOLERANCE, seen_colors
+from mgsr.mesh.colors import seen_colors
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.mesh.unwrap import UnwrappedMesh
 from mgsr.mesh.views import SurfaceView
@@ -21,8 +22,6 @@ _TEXELS_AT_ONCE = 1 << 19
 _ROWS_AT_ONCE = 256
 # Cosine between the normals of two surfaces below which they are different sides of a sheet.
 OPPOSED = 0.2
-# Pixel footprints by which the depths around a pixel may differ; more is an occlusion edge.
-_EDGE = 10.0
 
 
 @dataclass(frozen=True)
@@ -79,18 +78,19 @@ def bake_colors(
     views: Sequence[SurfaceView],
     config: MeshConfig,
     threads: int | None = None,
+    options: ColorOptions = ColorOptions(),
 ) -> np.ndarray:
     """Return the texels' colours [T,3] float32 sRGB 0..1.
 
     Each blends the views that see its place, as in `seen_colors`, but visibility comes from ray casting the full
     surface, and pixels at occlusion edges do not count. A texel that no view sees takes the vertices' colours.
     """
-    visible = [_with_depth_of(full.caster, view) for view in views]
-    tolerance = config.consistency or TOLERANCE
+    visible = [_with_depth_of(full.caster, view, options.occlusion_edge) for view in views]
+    tolerance = config.consistency or options.tolerance
     painted = np.zeros((len(texels.index), 3), np.float32)
     for part in texels.parts():
         points = texels.points[part]
-        colors, seen = seen_colors(points, texels.normals[part], visible, config.min_alpha, tolerance, threads)
+        colors, seen = seen_colors(points, texels.normals[part], visible, config.min_alpha, tolerance, threads, options)
         face, shares = full.caster.nearest(points[~seen])
         colors[~seen] = _interpolated(full.colors, full.faces[face], shares)
         painted[part] = colors
@@ -133,18 +133,18 @@ def _charted(unwrapped: UnwrappedMesh) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return np.concatenate(index), np.concatenate(faces), np.concatenate(shares)
 
 
-def _with_depth_of(caster: RayCaster, view: SurfaceView) -> SurfaceView:
+def _with_depth_of(caster: RayCaster, view: SurfaceView, edge: float) -> SurfaceView:
     """Replace a view's depth by the mesh's, and mask out pixels at occlusion edges, which mix two colours."""
     hits = caster.cast(view.camera)
-    inside = _inside(hits, view)
+    inside = _inside(hits, view, edge)
     return replace(view, depth=hits.depth, mask=inside if view.mask is None else inside & view.mask)
 
 
-def _inside(hits: RayHits, view: SurfaceView) -> np.ndarray:
+def _inside(hits: RayHits, view: SurfaceView, edge: float) -> np.ndarray:
     """Return the pixels [H,W] bool that show the surface away from its occlusion edges."""
     around = np.ones((3, 3), np.uint8)
     nearest, farthest = cv2.erode(hits.depth, around), cv2.dilate(hits.depth, around)
-    inside: np.ndarray = (nearest > 0) & (farthest - nearest <= _EDGE * hits.depth / view.camera.K[0, 0])
+    inside: np.ndarray = (nearest > 0) & (farthest - nearest <= edge * hits.depth / view.camera.K[0, 0])
     return inside
 
 

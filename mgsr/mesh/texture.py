@@ -45,7 +45,7 @@ def texture_mesh(
     unwrapped = unwrap(_reduced(full, output.faces), pixel, output.texture)
     texels = find_texels(unwrapped, full)
     colors = bake_colors(texels, full, views, config, threads, options)
-    coarse = decimate(coarser(Mesh(full.vertices, full.faces), SKY_EDGE * pixel), SKY_FACES)
+    coarse = coarser(Mesh(full.vertices, full.faces), SKY_EDGE * pixel, SKY_FACES)
     seen = trace_hemispheres(coarse, pixel)
     at = coarse.prolongation(texels.points)
     if material.tint is not None:

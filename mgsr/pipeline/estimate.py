@@ -10,7 +10,7 @@ import numpy as np
 
 from mgsr.budget.costs import iteration_cost, load_cost
 from mgsr.budget.estimate import Estimate, Speed, estimate_run
-from mgsr.budget.line import Line
+from mgsr.budget.line import SettingsLine
 from mgsr.config import PRESETS, Config
 from mgsr.data.scene import Scene
 from mgsr.pipeline.atomic_write import atomic_write
@@ -21,7 +21,7 @@ from mgsr.pipeline.result_paths import ESTIMATE
 from mgsr.pipeline.scene_check import CheckedScene
 from mgsr.pipeline.steps import StepClock, Steps, StopCheck, never
 from mgsr.pipeline.time_budget import facts_of
-from mgsr.start.starting_points import StartingPoints, StartSource
+from mgsr.start.points import StartingPoints, StartSource
 from mgsr.training.probe import probe
 
 _RADIUS = 0.5  # of the ball on which the splats of the probe lie, in the scene's frame
@@ -84,7 +84,7 @@ def _estimates(checked: CheckedScene, config: Config, device: Device, step: Step
     training = sum(probed.seconds.values()) / sum(reference.values())
     before: dict[str, float] = {name: step.clock.steps[name] for name in ("load", "check") if name in step.clock.steps}
     rest = training if device is Device.CPU else before.get("load", load_cost(facts)) / load_cost(facts)
-    line = Line(config)
+    line = SettingsLine(config)
     estimates = [
         estimate_run(preset, facts, line.at(float(place)), Speed(training, rest), before)
         for place, preset in enumerate(PRESETS)

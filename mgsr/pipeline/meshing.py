@@ -21,6 +21,7 @@ from mgsr.shading.light_estimate import LightKind
 from mgsr.shading.material import MATTE, Material
 
 GLOSS_EDGE = 3.0  # pixels; edge length of the mesh whose vertices the fit of the gloss observes
+GLOSS_FACES = 150_000  # most faces of that mesh
 
 
 def make_mesh(
@@ -72,5 +73,5 @@ def make_textured(model: TrainedModel, scene: Scene, config: Config, mesh: Recon
 
 def _fit_material(full: Mesh, scene: Scene, pixel: float) -> Material:
     """Return the material of a glossy surface in the scene's frame; pixel: a photograph's pixel size on it."""
-    observed = coarser(Mesh(full.vertices, full.faces), GLOSS_EDGE * pixel)
+    observed = coarser(Mesh(full.vertices, full.faces), GLOSS_EDGE * pixel, GLOSS_FACES)
     return fit_gloss(mirrorings(observed, scene.train, pixel))

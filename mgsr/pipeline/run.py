@@ -176,7 +176,8 @@ def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
     budget = None if run.budget is None else budget_facts(run.budget, clock.steps)
     given = (scene, run.start, run.config, run.device)
     report = run_report(*given, trained, surface.mesh, scores, surface.scores, clock, budget)
-    report = replace(report, material=textured.material, inspection=run.inspection)
+    inspection = None if run.inspection is None else run.inspection.to_json()
+    report = replace(report, material=textured.material.to_json(), inspection=inspection)
     result_files.write_reports(run.out, report, pictures)
     run.step.progress(Event("report", result_line(report)))
     return run.out / REPORT

@@ -180,7 +180,8 @@ class ReportData:
     surface on which training began replaced the trained one. mesh_steps: by name, in their order. settings: the whole
     `Config` as plain types. psnr_fg_test, psnr_fg_gain_test: PSNR, dB, on the object's pixels, as they are and after
     the best gain of each channel. psnr_whole_test: PSNR, dB, of the object before its background. views: the scores of
-    each test view, by its name.
+    each test view, by its name. material: the textured model's constants. inspection: the findings of the check before
+    training.
     """
 
     scene: str
@@ -214,6 +215,8 @@ class ReportData:
     psnr_whole_test: float | None = None
     views: dict[str, dict[str, float]] | None = None
     split: SplitFacts | None = None
+    material: dict[str, Any] | None = None
+    inspection: dict[str, Any] | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the object of report.json: only plain types, with None for numbers that are not finite."""

@@ -348,7 +348,7 @@ def _decisions(data: ReportData) -> str:
 
 
 def _inspection(data: ReportData) -> str:
-    inspection = data.other.get("inspection")
+    inspection = data.inspection
     if not inspection:
         return ""
     rows = finding_rows(inspection)

@@ -99,8 +99,8 @@ class Hemispheres:
 def trace_hemispheres(mesh: Mesh, gap: float, rays: int = OcclusionOptions().rays) -> Hemispheres:
     """Trace what each vertex of a mesh sees.
 
-    gap: the largest depth of a vertex behind the faces around it, in the mesh's unit. Each vertex casts `rays` rays with
-    a cosine distribution, on a spiral that is rotated from vertex to vertex. Faces seen from behind hide nothing.
+    gap: the largest depth of a vertex behind the faces around it, in the mesh's unit. Each vertex casts `rays` rays
+    with a cosine distribution, on a spiral that is rotated from vertex to vertex. Faces seen from behind hide nothing.
     """
     vertices, faces, normals = mesh.vertices, mesh.faces, mesh.double_normals
     first, second = tangents(normals)

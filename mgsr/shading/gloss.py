@@ -17,11 +17,12 @@ from scipy import sparse
 from scipy.optimize import minimize
 
 from mgsr.data.images import srgb_to_linear
+from mgsr.data.photograph import Photograph
 from mgsr.data.scene import View, some_of
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.environment_fit import sample_map, steps_squared
 from mgsr.shading.material import MATTE, Material
-from mgsr.shading.observations import linear_photographs, observe_photographs, read_image
+from mgsr.shading.observations import observe_photographs, read_image
 
 POINTS = 2000  # most points in the fit
 LEAST_SEEN = 4  # photographs that a point needs
@@ -66,7 +67,7 @@ def mirrorings(mesh: Mesh, views: Sequence[View], gap: float, threads: int | Non
 
     gap: the largest depth of a vertex behind the mesh, in the scene's unit.
     """
-    photographs = linear_photographs(views)
+    photographs = [Photograph(view) for view in some_of(views)]
     observed = observe_photographs(mesh, photographs, gap, threads)
     points = np.flatnonzero(observed.counts >= LEAST_SEEN)
     if len(points) > POINTS:

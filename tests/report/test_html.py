@@ -159,8 +159,7 @@ def test_the_check_of_the_photographs_is_told_and_drawn() -> None:
         {"name": STRANGE if i == 2 else f"r_{i}", "center": [3 * x, 3 * y, 0.1], "direction": [-x, -y, 0.0]}
         for i, (x, y) in enumerate([(1, 0), (0, -1), (-1, 0)])
     ]
-    data = sample_report()
-    data.other["inspection"] = {"findings": [FINDING], "photographs": photographs, "seconds": 1.0}
+    data = replace(sample_report(), inspection={"findings": [FINDING], "photographs": photographs})
     reader = read(report_page(data, sample_pictures()))
     assert "No photograph shows a side (r_1). What to do: add photographs." in reader.text and "2.5 sr" in reader.text
     marks = [attributes["class"] for tag, attributes in reader.attributes if tag in ("circle", "path")]

@@ -32,7 +32,7 @@ from mgsr.config import make_config
 from mgsr.pipeline.stop_signals import stop_on_signals
 
 app = typer.Typer(
-    help="Posed photographs in, surface mesh and clean renders out.",
+    help="Turn posed photographs into a surface mesh and clean renders.",
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -117,7 +117,7 @@ def render(
 
         rendered = render_again(scene, out, config, device, as_scene)
         if as_scene is not None:
-            print(f"{as_scene}: {len(rendered.train) + len(rendered.test)} views and their cameras")
+            print(f"{as_scene}: {len(rendered.train) + len(rendered.test)} views with their cameras")
         print(f"{out / RENDERS}: {len(rendered.test)} views")
 
 

@@ -12,13 +12,11 @@ from mgsr.cli.options import refusals
 PhotosArgument = Annotated[
     Path, typer.Argument(metavar="PHOTOS", help="A folder or archive of photographs.", exists=True)
 ]
-SceneOption = Annotated[Path, typer.Option("--out", "-o", metavar="SCENE", help="The new scene's folder.")]
-PosesSeedOption = Annotated[int, typer.Option("--seed", help="Seeds the random samples of COLMAP.", min=0)]
+SceneOption = Annotated[Path, typer.Option("--out", "-o", metavar="SCENE", help="The folder for the new scene.")]
+PosesSeedOption = Annotated[int, typer.Option("--seed", help="The seed of COLMAP's random samples.", min=0)]
 CameraPerImageOption = Annotated[
     bool,
-    typer.Option(
-        "--camera-per-image", help="Give each photograph a lens of its own: for zoomed, cropped or mixed captures."
-    ),
+    typer.Option("--camera-per-image", help="Estimate one lens per photograph, for zoomed, cropped or mixed captures."),
 ]
 
 

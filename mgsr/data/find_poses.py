@@ -57,14 +57,14 @@ def find_poses(
     folder = unpack(photos) if photos.is_file() else photos
     images = find_photos(folder, photos)
     if scene.exists() and any(scene.iterdir()):
-        raise ConfigError(f"{scene}: is not empty; name a new folder for the scene")
+        raise ConfigError(f"{scene}: the folder is not empty; choose a new folder for the scene")
     scene.mkdir(parents=True, exist_ok=True)
     try:
         gathered = gather(folder, images, scene / "images")
         for note in gathered.notes:  # before an hour of matching, not after
             say(note)
         lenses = [Lens((shot,)) for shot in gathered.shots] if camera_per_image else share_lenses(gathered.shots)
-        say("a camera for each photograph" if camera_per_image else describe_lenses(lenses))
+        say("a separate camera for each photograph" if camera_per_image else describe_lenses(lenses))
         model, notes = _placed(_pycolmap(), scene / "images", lenses, seed, say)
         (scene / "sparse/0").mkdir(parents=True)
         model.write(str(scene / "sparse/0"))
@@ -76,7 +76,7 @@ def find_poses(
 
 def _require_pycolmap() -> None:
     if importlib.util.find_spec("pycolmap") is None:
-        raise ConfigError("finding cameras needs pycolmap; install it with `pip install 'mgsr[poses]'`")
+        raise ConfigError("finding cameras requires pycolmap; install it with `pip install 'mgsr[poses]'`")
 
 
 def _pycolmap() -> Any:
@@ -91,7 +91,7 @@ def _pycolmap() -> Any:
         import pycolmap
     except ImportError as error:
         raise ConfigError(
-            f"pycolmap can't be loaded: {in_short(error)}; install it again with `pip install 'mgsr[poses]'`"
+            f"pycolmap cannot be loaded: {in_short(error)}; reinstall it with `pip install 'mgsr[poses]'`"
         ) from error
     pycolmap.logging.minloglevel = 2  # its errors arrive as exceptions, and its messages are not for our users
     pycolmap.logging.logtostderr = True  # else it leaves files in the folder for temporary ones
@@ -110,14 +110,17 @@ def _placed(colmap: Any, folder: Path, lenses: Sequence[Lens], seed: int, say: S
         model = _largest(_run(colmap, folder, lenses, Path(work), seed, say))
     total = sum(len(lens.shots) for lens in lenses)
     count = model.num_reg_images() if model is not None else 0
-    cure = "take more photographs, with more overlap and of a still scene with texture"
+    cure = "take more photographs of a still, textured scene, with more overlap"
     if len(lenses) < total:
         cure += "; if these were zoomed or cropped, try `--camera-per-image`"
-    notes = check_share(count, total, _LEAST_REGISTERED, "could be placed", cure)
+    notes = check_share(count, total, _LEAST_REGISTERED, "have a camera", cure)
     if model is None or count < 2:
-        raise SceneError(f"no photographs could be placed; {cure}")
+        raise SceneError(f"COLMAP found no camera; {cure}")
     error = model.compute_mean_reprojection_error()
-    say(f"{count} photographs placed, {model.num_points3D()} points, off by {error:.2f} pixels in the mean")
+    say(
+        f"found cameras of {count} photographs and {model.num_points3D()} points; the mean reprojection error is "
+        f"{error:.2f} pixels"
+    )
     return model, (*notes, *zoom_note(colmap, model))
 
 
@@ -134,7 +137,7 @@ def _run(colmap: Any, folder: Path, lenses: Sequence[Lens], work: Path, seed: in
         say(f"matching {len(names) * (len(names) - 1) // 2} pairs of photographs")
         colmap.match_exhaustive(database, verification_options=verification)
     else:
-        say(f"matching each photograph with the {_FOLLOWING} that follow it by name")
+        say(f"matching each photograph with the next {_FOLLOWING} by name")
         pairing = colmap.SequentialPairingOptions(overlap=_FOLLOWING)
         colmap.match_sequential(database, pairing_options=pairing, verification_options=verification)
     placed = _Counter(len(names), say)
@@ -197,7 +200,7 @@ class _Counter:
     def next(self) -> None:
         self._placed += 1
         if self._placed % 10 == 0:
-            self._say(f"placed {self._placed} of {self._total} photographs")
+            self._say(f"found cameras of {self._placed} of {self._total} photographs")
 
 
 def _largest(models: Sequence[Any]) -> Any:

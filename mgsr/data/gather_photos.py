@@ -55,7 +55,9 @@ def find_photos(folder: Path, given: Path) -> list[Path]:
     """
     images = images_below(folder)
     if len(images) < _FEWEST:
-        text = f"{given}: {len(images)} images; at least {_FEWEST} are needed to find cameras, 20 or more are good"
+        text = (
+            f"{given}: it holds {len(images)} images, but at least {_FEWEST} are needed to find cameras; use 20 or more"
+        )
         raise SceneError("; ".join([text, *_bystanders(folder, images)]))
     return images
 
@@ -77,7 +79,7 @@ def gather(photos: Path, images: Sequence[Path], folder: Path) -> Gathered:
             lost[image.relative_to(photos).as_posix()] = error
     if lost and (len(shots) < _FEWEST or len(shots) < _LEAST_READABLE * len(images)):
         first = next(iter(lost.values()))
-        raise SceneError(f"{len(lost)} of {len(images)} photographs can't be read; the first: {first}") from first
+        raise SceneError(f"{len(lost)} of {len(images)} photographs cannot be read; the first: {first}") from first
     return Gathered(tuple(shots), (*_notes_of_lost(lost, len(images)), *_bystanders(photos, images)))
 
 
@@ -86,7 +88,7 @@ def _notes_of_lost(lost: Mapping[str, SceneError], total: int) -> tuple[str, ...
         return ()
     names = ", ".join(list(lost)[:_MOST_NAMED]) + (", ..." if len(lost) > _MOST_NAMED else "")
     first = in_short(next(iter(lost.values())))
-    return (f"{len(lost)} of {total} photographs can't be read and are left out ({names}); the first: {first}",)
+    return (f"{len(lost)} of {total} photographs cannot be read and were skipped ({names}); the first: {first}",)
 
 
 def _hand_over(image: Path, name: Path, folder: Path, taken: set[str]) -> Shot:
@@ -115,7 +117,7 @@ def _require_photo(image: Path) -> None:
     if odd := what_instead(image):
         raise SceneError(f"{image.name} {odd}")
     if is_heif(image) and not _has_heif_brand(image):
-        raise SceneError(f"{image.name} is a video and not a photograph; {VIDEO_CURE}")
+        raise SceneError(f"{image.name} is a video, not a photograph; {VIDEO_CURE}")
 
 
 def _has_heif_brand(image: Path) -> bool:
@@ -181,8 +183,8 @@ def _bystanders(folder: Path, images: Iterable[Path]) -> tuple[str, ...]:
 def _note_of(files: Sequence[Path], is_kind: Callable[[Path], bool], what: str, cure: str) -> tuple[str, ...]:
     found = [path for path in files if is_kind(path)]
     if len(found) == 1:
-        return (f"1 {what} ({found[0].name}) left out; {cure}",)
-    return (f"{len(found)} {what}s ({found[0].name}, ...) left out; {cure}",) if found else ()
+        return (f"1 {what} ({found[0].name}) skipped; {cure}",)
+    return (f"{len(found)} {what}s ({found[0].name}, ...) skipped; {cure}",) if found else ()
 
 
 def _is_raw(path: Path) -> bool:

@@ -49,7 +49,7 @@ def load_flash(path: Path) -> Lighting:
         faces, proxy_vertex = content["faces"].astype(np.int64), content["like"].astype(np.int64)
         origin = content.get("origin", no_origin()).astype(float)
     except (ValueError, KeyError) as error:
-        raise SceneError(f"{path}: not a flash ({in_short(error)}); train again, or remove it") from error
+        raise SceneError(f"{path}: the file holds no flash ({in_short(error)}); train again, or remove it") from error
     count = len(vertices)
     right = vertices.shape == (count, 3) and ambient.shape == proxy_vertex.shape == (count,)
     right = right and lamp.shape == origin.shape == (3,)
@@ -57,8 +57,8 @@ def load_flash(path: Path) -> Lighting:
     right = right and all(indices.min() >= 0 and indices.max() < count for indices in (faces, proxy_vertex))
     if not right or not all(np.isfinite(array).all() for array in (vertices, ambient, lamp, origin)):
         raise SceneError(
-            f"{path}: expected vertices [V,3], besides [V], lamp [3], origin [3] of finite numbers, faces [F,3] and "
-            f"like [V] of indices, got {vertices.shape}, {ambient.shape}, {lamp.shape}, {origin.shape}, {faces.shape}, "
-            f"{proxy_vertex.shape}; train again, or remove it"
+            f"{path}: expected finite vertices [V,3], ambient [V], lamp [3] and origin [3], and indices faces [F,3] "
+            f"and proxy_vertex [V], got {vertices.shape}, {ambient.shape}, {lamp.shape}, {origin.shape}, "
+            f"{faces.shape}, {proxy_vertex.shape}; train again, or remove it"
         )
     return Lighting(Mesh(vertices + origin, faces), ambient, proxy_vertex, *lamp.tolist())

@@ -34,7 +34,7 @@ def require_unfolding() -> None:
     Raises MeshError if it is not.
     """
     if find_spec("xatlas") is None:
-        raise MeshError("output.texture: unfolding the surface needs the package xatlas: pip install 'mgsr[worker]'")
+        raise MeshError("output.texture: the texture requires the package xatlas; run pip install 'mgsr[worker]'")
 
 
 def texture_mesh(

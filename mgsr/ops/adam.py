@@ -108,7 +108,7 @@ class FusedAdam:
             raise TensorError(f"rows: expected {sorted(self.params)}, got {sorted(rows)}")
         if len({new.shape[0] for new in rows.values()}) > 1:
             counts = {name: new.shape[0] for name, new in rows.items()}
-            raise TensorError(f"rows: expected equally many for each name, got {counts}")
+            raise TensorError(f"rows: expected the same number for each name, got {counts}")
         for name, new in rows.items():
             new = new.detach()
             zeros = torch.zeros_like(new)

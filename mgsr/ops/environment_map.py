@@ -37,7 +37,7 @@ def look_up_environment_map(
         expected, came = f"[{camera.height}, {camera.width}, 3]", f"[{sizes['H']}, {sizes['W']}, 3]"
         raise TensorError(f"normals: expected the camera's {expected}, got {came}; use camera.resized(width, height)")
     if not sizes["S"]:
-        raise TensorError("maps: expected a texel at least, got [2, 0, 0, 3]")
+        raise TensorError("maps: expected at least one texel, got [2, 0, 0, 3]")
     if pixels is not None and (pixels.ndim != 1 or pixels.dtype != torch.int64 or pixels.device != normals.device):
         came = f"{pixels.dtype} {list(pixels.shape)} on {pixels.device}"
         raise TensorError(f"pixels: expected int64 [P] on {normals.device}, got {came}")

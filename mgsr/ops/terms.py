@@ -106,7 +106,7 @@ def _values(terms: Sequence[Term]) -> tuple[TermKernels | None, Tensor, Any]:
     """
     on_card = [(term.sums, term.weight) for term in terms if isinstance(term.sums, Sums)]
     if on_card:
-        assert len(on_card) == len(terms), "terms of one loss must be of one device"
+        assert len(on_card) == len(terms), "all terms of a loss must be on one device"
         launcher = launcher_for(on_card[0][0].partial)
         assert launcher is not None
         kernels = TermKernels(launcher)
@@ -121,7 +121,7 @@ def _added_up(image: Image, scales: list[float]) -> Tensor:
     """Return the gradient [...] of an image: the sum of its parts, each times the scale of its term."""
     gradient = None
     for part in image.parts:
-        assert part.region is None, "on the processor slopes are whole images"
+        assert part.region is None, "on the CPU, gradients are whole images"
         scale = part.factor * scales[part.term]
         slopes = part.slopes if part.slopes.shape == image.shape else part.slopes.unsqueeze(-1).expand(image.shape)
         if gradient is None:

@@ -155,7 +155,7 @@ def load_result(out: str | os.PathLike[str]) -> Reconstruction:
         steps = {name: StepReport(**step) for name, step in report.other["mesh_steps"].items()}
         light = LightKind(report.other["light"])
     except (LookupError, TypeError, ValueError) as error:
-        raise MgsrError(f"{folder}: its report is of another version ({in_short(error)}); run again") from error
+        raise MgsrError(f"{folder}: the report is of another version ({in_short(error)}); run again") from error
     origin = origin_of_frame(normalisation)
     return Reconstruction(
         mesh=read_mesh(folder).with_report(light, start_kept, steps),

@@ -73,8 +73,8 @@ class Branch(Trainable[Splats]):
         change = adapt(self.model.parameters(), self.densify_state, self.densify, self.extent, self.generator, grow)
         if len(change.kept) + change.cloned + 2 * change.split == 0:
             raise TrainingError(
-                f"{self.name}: every splat was pruned, so nothing of the images was explained; check the poses and "
-                "masks, or lower prune_opacity"
+                f"{self.name}: every splat was pruned, so no splat explains the images; check the poses and masks, or "
+                "lower prune_opacity"
             )
         self.exchange(change.kept, change.added)
         if self.device.type != "cpu" and self.steps % ORDER_EVERY < self.densify.every:

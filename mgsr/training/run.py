@@ -33,14 +33,14 @@ def card_explained() -> Iterator[None]:
         yield
     except torch.OutOfMemoryError as error:
         raise GpuError(
-            f"the card's memory does not hold this training ({error}): use smaller images (max_side=...) or fewer "
-            "splats (max_count=...), or --device cpu"
+            f"the card's memory cannot hold this training ({error}); use smaller images (max_side=...), fewer splats "
+            "(max_count=...) or --device cpu"
         ) from error
     except CARD_FAILED as error:
         reason = str(error).strip().splitlines()[0]
         raise LostCardError(
-            f"the card failed ({reason}), and nothing can be read from it any more: go on from the last checkpoint "
-            "with --resume, or use --device cpu; if it fails again, CUDA_LAUNCH_BLOCKING=1 names the place for a report"
+            f"the card failed ({reason}), and its memory is lost; resume from the last checkpoint with --resume, or "
+            "use --device cpu; if it fails again, report the output with CUDA_LAUNCH_BLOCKING=1"
         ) from error
 
 

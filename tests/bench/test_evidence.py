@@ -134,10 +134,10 @@ def test_what_a_run_left_out_is_held_against_it_scene_by_scene() -> None:
     more = [sample_row("pear", "need-light", seconds=450.0, psnr=34.02, chamfer=2.6), sample_row("pear", "L")]
     more[0] = replace(more[0], gaussians=30000)
     page = page_of([*sample_rows(), *more])
-    line = next(line for line in page.splitlines() if "a reflection of each splat's own, everywhere" in line)
+    line = next(line for line in page.splitlines() if "each splat's own reflection in every scene" in line)
     assert "| pear | 34.02 (+0.02) | 2.60 (+0.10) | 98.00 (+0.00) | 50000 (+25%) | 450 (+50%) |" in line
-    assert "| warm-ups end with their iterations alone | pear | 34.00 (+0.00) |" in page
-    assert "a reflection of each splat's own" not in page_of(sample_rows())
+    assert "| warm-ups never stop early | pear | 34.00 (+0.00) |" in page
+    assert "each splat's own reflection in every scene" not in page_of(sample_rows())
 
 
 def test_runs_with_a_time_budget_say_whether_they_kept_it() -> None:

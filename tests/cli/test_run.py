@@ -232,7 +232,7 @@ def test_resume_takes_up_a_finished_training(scene: Path, done: Path, tmp_path: 
         (["nowhere"], "nowhere: no such folder"),
         pytest.param(
             ["SCENE", "--device", "cuda"],
-            "device cuda: this torch",
+            "device cuda: the installed torch",
             marks=pytest.mark.skipif(torch.cuda.is_available(), reason="there is a card here"),
         ),
         (["SCENE", "--device", "tpu"], "auto, cpu, cuda"),

@@ -110,18 +110,20 @@ def test_metashape_cameras_that_are_not_aligned_or_not_enabled(tmp_path: Path) -
     photos, notes = usable(aligned=(0, 1, 2))
     assert len(photos) == 3
     assert notes == (
-        "1 of 4 photographs left out: cameras.xml, camera 'IMG_3': it is not aligned; align the cameras in Metashape "
-        "and export them again",
+        "1 of 4 photographs skipped: cameras.xml, camera 'IMG_3': the photograph is not aligned; align the cameras in "
+        "Metashape and export them again",
     )
     photos, notes = usable(camera=lambda i: 'enabled="false"' if i == 3 else "")
     assert len(photos) == 3 and notes == ()
-    with pytest.raises(SceneError, match=r"3 of 4 photographs can't be used; the first: .*'IMG_1': it is not aligned"):
+    with pytest.raises(
+        SceneError, match=r"3 of 4 photographs cannot be used; the first: .*'IMG_1': the photograph is not aligned"
+    ):
         usable(aligned=(0,))
     metashape(tmp_path)
     for i in (0, 2, 3):
         (tmp_path / f"photos/IMG_{i}.JPG").unlink()
     folder = SceneFolder.at(tmp_path)
-    with pytest.raises(SceneError, match=r"only 1 of 4 .* \(IMG_0 is missing\); put them into"):
+    with pytest.raises(SceneError, match=r"only 1 of the 4 .* \(IMG_0 is missing\); copy them anywhere into"):
         usable_photos(read_capture(tmp_path, "metashape"), folder)
 
 
@@ -189,7 +191,7 @@ def test_metashape_in_utf_16_beside_other_documents(tmp_path: Path) -> None:
         ({"terms": {"f": "nan"}}, "camera 'IMG_0': f: expected 1 numbers, got 'nan'"),
         ({"terms": TERMS | {"p3": 0, "p4": 0.5}}, "camera 'IMG_0': distortion p4 is 0.5, which is not"),
         ({"camera": lambda i: 'sensor_id="7"'}, "not valid XML: duplicate attribute"),
-        ({"chunk": "<transform><scale>0</scale></transform>"}, "the chunk's scale is 0"),
+        ({"chunk": "<transform><scale>0</scale></transform>"}, "expected a scale of the chunk above 0, got 0"),
         ({"chunk": "<transform><rotation>1 2</rotation></transform>"}, "rotation: expected 9 numbers, got '1 2'"),
     ],
 )
@@ -203,7 +205,7 @@ def test_metashape_entities_are_refused(tmp_path: Path, encoding: str) -> None:
     path = metashape(tmp_path) / "cameras.xml"
     text = path.read_text().replace("<document", '<!DOCTYPE d [<!ENTITY a "aaaa">]><document', 1)
     path.write_text(text, encoding=encoding)
-    with pytest.raises(SceneError, match="has a DOCTYPE, which Metashape doesn't write; refused"):
+    with pytest.raises(SceneError, match="has a DOCTYPE, which Metashape never writes; MGSR refuses it"):
         read_capture(tmp_path, "metashape")
 
 
@@ -275,7 +277,7 @@ def test_realitycapture_left_out_columns_and_photographs(tmp_path: Path) -> None
     _, notes = usable_photos(read_capture(tmp_path, "realitycapture"), folder)
     assert notes == ("1 of 3 photographs of export.csv left out: b.jpg is missing",)
     (tmp_path / "images/c.jpg").unlink()
-    with pytest.raises(SceneError, match=r"only 1 of 3 .* that export\.csv names are there \(b\.jpg is missing\); put"):
+    with pytest.raises(SceneError, match=r"only 1 of the 3 .* by export\.csv exist \(b\.jpg is missing\); copy"):
         usable_photos(read_capture(tmp_path, "realitycapture"), SceneFolder.at(tmp_path))
 
 
@@ -414,7 +416,7 @@ def test_opensfm_fisheye(tmp_path: Path) -> None:
     ("change", "message"),
     [
         (lambda parts: parts.clear(), "expected a list of reconstructions with 'cameras' and 'shots'"),
-        (lambda parts: parts[1]["cameras"].clear(), r"shot 0\.jpg: camera 'c' is not in the file"),
+        (lambda parts: parts[1]["cameras"].clear(), r"shot 0\.jpg: the file lacks camera 'c'; export it again"),
         (
             lambda parts: parts[1]["cameras"]["c"].update(projection_type="spherical"),
             "'spherical' is not supported: a pano",

@@ -185,7 +185,7 @@ def test_few_registered_photographs(tmp_path: Path) -> None:
     for i in range(20):
         Image.new("L", (8, 8)).save(tmp_path / f"images/more{i}.png")
     assert read_capture(tmp_path, "colmap").notes == (
-        "10 of 30 photographs are registered in sparse/0; the others are left out",
+        "10 of 30 photographs are registered in sparse/0; the others are skipped",
     )
     for i in range(20, 77):
         Image.new("L", (8, 8)).save(tmp_path / f"images/more{i}.png")
@@ -289,7 +289,7 @@ def test_a_model_alone_lacks_its_photographs(tmp_path: Path) -> None:
     for path in (tmp_path / "images").iterdir():
         path.unlink()
     with pytest.raises(
-        SceneError, match=r"only 0 of 10 photographs that 0/images\.bin names are there \(photo 01\.png is"
+        SceneError, match=r"only 0 of the 10 photographs named by 0/images\.bin exist \(photo 01\.png is"
     ):
         load_scene(tmp_path / "sparse/0", DataConfig())
 

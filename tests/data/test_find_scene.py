@@ -60,9 +60,9 @@ def test_photographs_beside_the_folder_of_the_cameras(tmp_path: Path) -> None:
 
 def test_a_scene_given_by_its_photographs(root: Path) -> None:
     scene = load_scene(root / "photos", DataConfig())
-    assert scene.name == "vase" and scene.notes[0] == "photos is a part of the scene vase, which is read"
+    assert scene.name == "vase" and scene.notes[0] == "photos is a part of the scene vase, so vase is read"
     save(root / "others/a.png", GREY, "RGB")
-    refuses(root / "others", "1 images, but no cameras; find the cameras with `mgsr poses")
+    refuses(root / "others", "1 images but no cameras; find the cameras with `mgsr poses")
 
 
 @pytest.mark.parametrize("relative", [False, True])
@@ -79,8 +79,8 @@ def test_absolute_paths(root: Path, monkeypatch: pytest.MonkeyPatch, relative: b
     monkeypatch.chdir(folder.parent)
     scene = load_scene(Path(folder.name) if relative else folder, DataConfig())
     assert len(scene.train) + len(scene.test) == 12
-    assert [note for note in scene.notes if "lie elsewhere" in note] == (
-        [note for note in scene.notes if note.startswith("12 of 12 photographs lie elsewhere")] if moved else []
+    assert [note for note in scene.notes if "are in other folders" in note] == (
+        [note for note in scene.notes if note.startswith("12 of 12 photographs are in other folders")] if moved else []
     )
     assert bool(scene.notes) == moved
 
@@ -107,7 +107,7 @@ def test_reduced_copies(root: Path) -> None:
         shutil.copytree(root / "photos", root / f"photos_{factor}")
     shutil.rmtree(root / "photos")
     scene = load_scene(root, DataConfig())
-    assert "the photographs are read from photos_2; the cameras are scaled to their size" in scene.notes
+    assert "the photographs are read from photos_2; the cameras are scaled to the photographs' size" in scene.notes
 
 
 def test_photographs_that_may_be_several(tmp_path: Path) -> None:
@@ -148,8 +148,8 @@ def test_files_that_are_no_scene(tmp_path: Path, name: str, content: str, messag
     ("name", "message"),
     [
         ("walk.MOV", r"a video \(walk\.MOV\) but no photographs; take frames"),
-        ("IMG.dng", r"raw photographs \(IMG\.dng\), which are not read; develop them"),
-        ("scene.zip", r"no known scene in it, but another archive, scene\.zip"),
+        ("IMG.dng", r"it holds raw photographs \(IMG\.dng\), which MGSR does not read; convert them"),
+        ("scene.zip", r"it holds no known scene but another archive, scene\.zip"),
     ],
 )
 def test_folders_of_other_things(tmp_path: Path, name: str, message: str) -> None:
@@ -165,7 +165,7 @@ def test_git_lfs_pointers_in_place_of_files(root: Path) -> None:
     assert any(re.search(r"003\.png is a pointer of Git LFS .*git lfs pull", note) for note in scene.notes)
     for path in (root / "photos").iterdir():
         path.write_text(LFS)
-    refuses(root, r"12 of 12 photographs can't be used; the first: .*is a pointer of Git LFS")
+    refuses(root, r"12 of 12 photographs cannot be used; the first: .*is a pointer of Git LFS")
     (root / "cameras.json").write_text(LFS)
     refuses(root, r"cameras\.json is a pointer of Git LFS")
 
@@ -183,9 +183,7 @@ def test_nan_as_windows_writes_it(root: Path) -> None:
     text = re.sub(r'(?<="cam_from_world": \[\[)[-\d.e]+', "-nan(ind)", text, count=1)
     (root / "cameras.json").write_text(text)
     scene = load_scene(root, DataConfig())
-    assert scene.notes[0].startswith(
-        "1 of 12 photographs left out: cameras.json, view 0 (photos/000.png): the pose has"
-    )
+    assert scene.notes[0].startswith("1 of 12 photographs skipped: cameras.json, view 0 (photos/000.png): the pose has")
 
 
 @pytest.mark.parametrize("folder", ["depth", "masks_4", "mono_normal", "old", "photos_2"])
@@ -226,7 +224,8 @@ def test_developed_photographs_beside_raw_ones(root: Path) -> None:
     assert views(root) == 12
     shutil.rmtree(root / "photos")
     refuses(
-        root, r"12 of 12 photographs can't be used; the first: photos/000\.CR2: raw photographs are not read; develop"
+        root,
+        r"12 of 12 photographs cannot be used; the first: photos/000\.CR2: MGSR does not read raw photographs; convert",
     )
 
 
@@ -257,7 +256,7 @@ def test_a_scene_given_by_a_part_of_it(tmp_path: Path, part: str) -> None:
     model.write_binary(str(tmp_path / "vase/output/sparse/0"))
     scene = load_scene(tmp_path / "vase" / part, DataConfig())
     assert len(scene.train) + len(scene.test) == 9
-    assert scene.notes[0] == f"{Path(part).name} is a part of the scene {scene.name}, which is read"
+    assert scene.notes[0] == f"{Path(part).name} is a part of the scene {scene.name}, so {scene.name} is read"
 
 
 def test_one_mask_for_two_photographs_is_used_for_none(root: Path) -> None:

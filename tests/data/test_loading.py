@@ -226,7 +226,7 @@ def test_a_bad_photograph_is_told_of_and_loses_no_other(tmp_path: Path) -> None:
     first, bad, last = load_views(photos, ["first", "bad", "last"], DataConfig())
     assert isinstance(first, LoadedView) and isinstance(last, LoadedView)
     assert first.view.image.shape == last.view.image.shape == (40, 60, 3)
-    assert isinstance(bad, SceneError) and "bad.png: not an image that can be read" in str(bad)
+    assert isinstance(bad, SceneError) and "bad.png: this file is not a readable image" in str(bad)
 
 
 def test_bad_photographs_stop_the_others_once_they_are_the_most(
@@ -287,4 +287,4 @@ def test_names_in_files_that_no_file_can_have(tmp_path: Path) -> None:
         content["views"][1]["image"] = name
         (root / "cameras.json").write_text(json.dumps(content))
         (lost,) = read_capture(root, "plain").lost
-        assert re.search("too long, or with a zero byte, for a file's name; mend the file", str(lost))
+        assert re.search("a file name may not be so long or have a zero byte; fix the file", str(lost))

@@ -82,7 +82,7 @@ def test_the_origin_is_short_and_in_the_scene(frame: Similarity) -> None:
     np.testing.assert_array_equal([float(word) for word in text.split()], origin)
     np.testing.assert_array_equal(origin, np.round(origin, 5))
     (note,) = origin_notes(frame)
-    assert f"written about {text}, which they name" in note
+    assert f"positions relative to {text}, which they record" in note
 
 
 def test_the_note_tells_how_far_away() -> None:
@@ -117,7 +117,7 @@ def test_near_files_are_the_same_to_the_byte(tmp_path: Path) -> None:
 def test_conversions_keep_places(tmp_path: Path, frame: Similarity, suffix: str) -> None:
     _, given = write_far(tmp_path / "a.ply", frame)
     text = convert(tmp_path / "a.ply", tmp_path / f"b{suffix}")
-    assert text.endswith(f", about the origin {origin_text(origin_of_frame(frame))}, which the file names")
+    assert text.endswith(f", relative to the origin {origin_text(origin_of_frame(frame))}, which the file records")
     np.testing.assert_array_equal(named_origin((tmp_path / f"b{suffix}").read_bytes()), origin_of_frame(frame))
     convert(tmp_path / f"b{suffix}", tmp_path / "c.ply")
     # The compressed PLY's ten bits of a chunk's range, and SPZ's twenty bits after the point.
@@ -206,7 +206,7 @@ def test_origins_that_are_no_places(tmp_path: Path, words: bytes) -> None:
     convert(tmp_path / "a.ply", tmp_path / "a.spz")
     data = (tmp_path / "a.spz").read_bytes()
     (tmp_path / "b.spz").write_bytes(re.sub(rb"(mgsr origin )[^\0]*", lambda found: found[1] + words, data, count=1))
-    with pytest.raises(SceneError, match=r"b\.ply: its origin: expected three finite numbers, got .*; write the file"):
+    with pytest.raises(SceneError, match=r"b\.ply: expected an origin of three finite numbers, got .*; write the file"):
         read_origin(tmp_path / "b.ply")
     for name in ("b.ply", "b.spz"):
         with pytest.raises(SceneError, match=name.replace(".", r"\.")):

@@ -75,7 +75,7 @@ def test_single_steps_take_the_masks_up(done: Path, capture: Path) -> None:
 
 def test_a_view_of_the_whole_scene_is_refused_and_its_camera_is_not(done: Path, capture: Path) -> None:
     scene, result = load_scene(capture), mgsr.load_result(done)
-    with pytest.raises(ConfigError, match="the object found"):
+    with pytest.raises(ConfigError, match="the found object"):
         mgsr.render(result, scene.test[0])
     camera = scene.user_from_scene.camera_to_user(scene.test[0].camera)
     written = np.array(Image.open(done / "renders" / "test" / f"{scene.test[0].name}.png"))
@@ -94,7 +94,7 @@ def test_masks_that_are_gone_are_asked_for(done: Path, capture: Path, tmp_path: 
 def test_masks_of_a_person_are_not_replaced(capture: Path, tmp_path: Path) -> None:
     (tmp_path / "masks").mkdir()
     (tmp_path / "masks" / "own.png").write_bytes(b"mine")
-    with pytest.raises(ConfigError, match="name another folder"):
+    with pytest.raises(ConfigError, match="choose another folder"):
         run_scene(capture, tmp_path, make_config(overrides=[*SHORT, *FEW, "object=auto"]), "cpu")
     assert (tmp_path / "masks" / "own.png").read_bytes() == b"mine"
 

@@ -136,7 +136,7 @@ class GaussianKernels:
 
         Raises GpuError where the card's memory is too small.
         """
-        assert self._keep, "rendered without a backward pass in mind"
+        assert self._keep, "the render was made without a backward pass"
         splats, background = arguments[:8], arguments[8]
         images, v_images, v_splats = arguments[16:21], arguments[21:26], arguments[26:]
         kind = _kind(splats)

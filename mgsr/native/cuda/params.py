@@ -37,4 +37,4 @@ def addresses(*tensors: torch.Tensor | None) -> list[int | None]:
 
 
 def _refuse(tensor: torch.Tensor) -> int:
-    raise AssertionError(f"kernels read contiguous tensors, got strides {tensor.stride()} of shape {[*tensor.shape]}")
+    raise AssertionError(f"expected a contiguous tensor, got strides {tensor.stride()} of shape {[*tensor.shape]}")

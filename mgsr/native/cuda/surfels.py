@@ -140,7 +140,7 @@ class SurfelKernels:
 
         Raises GpuError where the card's memory is too small.
         """
-        assert self._keep, "rendered without a backward pass in mind"
+        assert self._keep, "the render was made without a backward pass"
         splats, background, view = arguments[:5], arguments[5], arguments[6:13]
         images, v_images, v_splats = arguments[13:19], arguments[19:25], arguments[25:]
 

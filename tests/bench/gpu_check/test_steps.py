@@ -26,7 +26,7 @@ SHORT = "warmup.surfel_iterations=20 warmup.gaussian_iterations=20 mutual.iterat
 NAMES = {number: [step.name for step in steps.parts()[number]] for number in (1, 2, 3)}
 # Without a card, and whatever the machine has installed.
 WITHOUT_CARD = re.compile(
-    r"no card: this torch (is built for the CPU alone|sees no NVIDIA card or driver)|no card is us"
+    r"no card: this torch (is built for the CPU only|sees no NVIDIA card or driver)|no card is us"
 )
 
 

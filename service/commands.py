@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 DEFAULT_SERVER = "http://127.0.0.1:8000"
 
-HostOption = Annotated[str, typer.Option(help="The address to listen at.")]
-PortOption = Annotated[int, typer.Option(help="The port to listen at.", min=1, max=65535)]
+HostOption = Annotated[str, typer.Option(help="The address to listen on.")]
+PortOption = Annotated[int, typer.Option(help="The port to listen on.", min=1, max=65535)]
 ServerOption = Annotated[str, typer.Option(help="The service's address.", envvar="MGSR_SERVER", metavar="URL")]
 
-keys = typer.Typer(no_args_is_help=True, help="Bearer keys of the service whose store MGSR_STORE names.")
+keys = typer.Typer(no_args_is_help=True, help="Manage the bearer keys of the service. MGSR_STORE names its store.")
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -41,20 +41,22 @@ def serve(host: HostOption = "127.0.0.1", port: PortOption = 8000) -> None:
 
 def submit(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="A folder or archive of posed photographs.")],
-    wait: Annotated[
-        bool, typer.Option("--wait", help="Follow the job, and fetch its results when it is done.")
-    ] = False,
+    wait: Annotated[bool, typer.Option("--wait", help="Follow the job, and fetch its results at the end.")] = False,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="OUT", help="Where the results go; out/SCENE by default.")
+        Path | None,
+        typer.Option("--out", "-o", metavar="OUT", help="The folder for the results. The default is out/SCENE."),
     ] = None,
     preset: Annotated[str, typer.Option(help="draft, standard or high.")] = "standard",
     method: Annotated[str, typer.Option(help="mgsr, 2dgs or 3dgs.")] = "mgsr",
     seed: Annotated[int, typer.Option(min=0)] = 0,
     settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated.")
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting. Repeat it for several.")
     ] = None,
     webhook: Annotated[
-        str | None, typer.Option(metavar="URL", help="Told of the job's end; signed as Standard Webhooks.")
+        str | None,
+        typer.Option(
+            metavar="URL", help="The address that is called when the job ends, signed as in Standard Webhooks."
+        ),
     ] = None,
     server: ServerOption = DEFAULT_SERVER,
 ) -> None:
@@ -75,9 +77,10 @@ def submit(
 
 
 def fetch(
-    job: Annotated[str, typer.Argument(metavar="ID", help="The job's id, as `mgsr submit` said it.")],
+    job: Annotated[str, typer.Argument(metavar="ID", help="The job's id, as printed by `mgsr submit`.")],
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="OUT", help="Where the results go; out/ID by default.")
+        Path | None,
+        typer.Option("--out", "-o", metavar="OUT", help="The folder for the results. The default is out/ID."),
     ] = None,
     server: ServerOption = DEFAULT_SERVER,
 ) -> None:
@@ -89,12 +92,14 @@ def fetch(
 
 
 @keys.command("create")
-def create_key(name: Annotated[str, typer.Argument(help="Whose key it is.")]) -> None:
+def create_key(name: Annotated[str, typer.Argument(help="The name of the key's owner.")]) -> None:
     """Make a key and show it, once. From the first key on the service answers only those who show one."""
     with refusals():
         token, key = _keys().create(name)
         print(token)
-        typer.echo(f"key {key.id} of {name}; keep it, it is not shown again (Authorization: Bearer ...)", err=True)
+        typer.echo(
+            f"key {key.id} of {name}; keep it, because it is not shown again (Authorization: Bearer ...)", err=True
+        )
 
 
 @keys.command("list")
@@ -110,7 +115,7 @@ def revoke_key(key_id: Annotated[str, typer.Argument(metavar="ID")]) -> None:
     """Take a key back; services notice within seconds. Its jobs stay in the store."""
     with refusals():
         if not _keys().revoke(key_id):
-            raise SetupError(f"there is no key {key_id!r}; `mgsr keys list` shows them")
+            raise SetupError(f"key {key_id!r} does not exist; `mgsr keys list` shows all keys")
 
 
 def _keys() -> Keys:

@@ -15,9 +15,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 GpusOption = Annotated[
     str | None,
-    typer.Option(
-        metavar="all|0,1", help="One worker for each of these NVIDIA cards; jobs that ask for a card go there."
-    ),
+    typer.Option(metavar="all|0,1", help="Start one worker per NVIDIA card, for jobs that request a card."),
 ]
 
 

@@ -112,6 +112,7 @@ def _splats(vertex: PlyElement, path: Path, notes: dict[str, str]) -> Splats:
     _check_properties(names, path)
 
     def stack(prefix: str, count: int) -> np.ndarray:
+        """Return the columns prefix0, prefix1, ... of the file as float32 [N, count]."""
         return np.stack([np.asarray(vertex[f"{prefix}{index}"], np.float32) for index in range(count)], axis=1)
 
     sh = _load_sh(vertex, names, _COLOR)

@@ -76,6 +76,7 @@ def _geometry(camera: Camera) -> tuple[tuple[float, float, float, float], list[f
 class _DepthNormals(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | None) -> torch.Tensor:
+        """Return the normals [H,W,3] of a depth [H,W], which alpha [H,W] divides."""
         depth, alpha = plain(depth), None if alpha is None else plain(alpha)
         launcher = launcher_for(depth)
         ctx.kernels = _image if launcher is None else ImageKernels(launcher)
@@ -88,6 +89,7 @@ class _DepthNormals(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_normals: torch.Tensor) -> tuple[torch.Tensor, None, None]:
+        """Return the gradient [H,W] of the depth from that of the normals [H,W,3]."""
         depth, alpha = ctx.saved_tensors
         v_depth = torch.empty_like(depth)
         ctx.kernels.depth_normals_vjp(depth, alpha, *_geometry(ctx.camera), plain(v_normals), v_depth)

@@ -56,6 +56,7 @@ class _EnvironmentMapLookup(torch.autograd.Function):
     def forward(
         ctx: Any, maps: torch.Tensor, normals: torch.Tensor, camera: Camera, pixels: torch.Tensor | None
     ) -> torch.Tensor:
+        """Return the light [H,W,3] that maps [2,S,S,3] send to normals [H,W,3], at pixels [P] or everywhere."""
         maps, normals, pixels = plain(maps), plain(normals), None if pixels is None else plain(pixels)
         launcher = launcher_for(normals)
         ctx.kernels = _environment_map if launcher is None else EnvironmentMapKernels(launcher)
@@ -68,6 +69,7 @@ class _EnvironmentMapLookup(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_light: torch.Tensor) -> tuple[torch.Tensor | None, torch.Tensor | None, None, None]:
+        """Return the gradients of maps [2,S,S,3] and normals [H,W,3] from that of the light [H,W,3]."""
         maps, normals, pixels = ctx.saved_tensors
         v_maps = torch.empty_like(maps) if ctx.needs_input_grad[0] else None
         v_normals = _like(normals, pixels) if ctx.needs_input_grad[1] else None

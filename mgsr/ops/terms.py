@@ -80,6 +80,7 @@ def evaluate(terms: Sequence[Term]) -> Tensor:
 class _Evaluate(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, terms: tuple[Term, ...], keys: list[int], *images: Tensor) -> Tensor:
+        """Return the weighted values [T] of terms over their images [H,W] or [H,W,C]."""
         ctx.kernels, values, ctx.scales = _values(terms)
         slopes = [(number, slope) for number, term in enumerate(terms) for slope in term.slopes]
         ctx.shapes = [image.shape for image in images]
@@ -90,6 +91,7 @@ class _Evaluate(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_values: Tensor) -> tuple[Any, ...]:
+        """Return the images' gradients, in their shapes, from those of the values [T]."""
         images = [Image(shape) for shape in ctx.shapes]
         for (image, number, factor, region), values in zip(ctx.described, ctx.saved_tensors, strict=True):
             images[image].parts.append(Part(values, number, factor, region))

@@ -94,6 +94,7 @@ class _RenderGaussians(torch.autograd.Function):
     def forward(
         ctx: Any, r: _Rendering, environment: Tensor | None, *stored: Tensor | None
     ) -> tuple[Tensor | None, ...]:
+        """Return the images [H,W] and [H,W,3] of stored parameters [N,...] and a reflected environment [H,W,3]."""
         tensors: list[Any] = [None if tensor is None else plain(tensor) for tensor in stored]
         means, quats, log_scales, opacity_logits, sh, refl_opacity_logits, weight_logits, refl_sh = tensors
         logits = [each for each in (opacity_logits, refl_opacity_logits, weight_logits) if each is not None]
@@ -124,6 +125,7 @@ class _RenderGaussians(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Tensor | None, ...]:
+        """Return the gradients of the environment [H,W,3] and of the stored parameters [N,...]."""
         r, (sh, refl_sh, reflected, *saved) = ctx.rendering, ctx.saved_tensors
         splats, images = saved[: -ctx.images], saved[-ctx.images :]
         v_color, v_transmitted, v_alpha, v_depth, v_own, v_weight = (

@@ -76,6 +76,7 @@ class _RenderSurfels(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, r: _Rendering, *stored: Tensor) -> tuple[Tensor | None, ...]:
+        """Return the images [H,W] and [H,W,3] of stored parameters [N,...]."""
         means, quats, log_scales, opacity_logits, sh = (plain(tensor) for tensor in stored)
         scales, opacities = activated(r.launcher, KINDS, (log_scales, opacity_logits))
         rgb = harmonics(r.launcher, sh, means, r.center, r.degree)
@@ -95,6 +96,7 @@ class _RenderSurfels(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Tensor | None, ...]:
+        """Return the gradients of the stored parameters [N,...]."""
         r, (sh, *saved) = ctx.rendering, ctx.saved_tensors
         splats, images = saved[: -ctx.images], saved[-ctx.images :]
         v_images = [None if v is None else plain(v) for v in v_outputs[:-1]]

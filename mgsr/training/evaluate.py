@@ -24,6 +24,7 @@ def surfel_picture(model: SurfelModel) -> Picture:
     """Return a function that renders the 2D branch."""
 
     def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:
+        """Return the surfels' image [H,W,3] on a background colour, shaded by `light` [H,W] or None."""
         return render_surfels(model, camera, color_tensor(background, model.means.device), shading=light).color
 
     return picture
@@ -37,6 +38,7 @@ def gaussian_picture(model: TrainedModel) -> Picture:
     drawn = model.for_gaussians()
 
     def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:
+        """Return the Gaussians' image [H,W,3] on a background colour, shaded by `light` [H,W] or None."""
         _, full = render_both(drawn, camera, color_tensor(background, model.device), depth=False, shading=light)
         assert full is not None
         return full.color

@@ -28,16 +28,20 @@ class StartingPoints(Protocol):
     """
 
     @property
-    def positions(self) -> np.ndarray: ...
+    def positions(self) -> np.ndarray:
+        """Return the positions [P,3] in the scene's frame."""
 
     @property
-    def normals(self) -> np.ndarray | None: ...
+    def normals(self) -> np.ndarray | None:
+        """Return the unit normals [P,3], or None."""
 
     @property
-    def colors(self) -> np.ndarray: ...
+    def colors(self) -> np.ndarray:
+        """Return the sRGB colours [P,3] in 0..1."""
 
     @property
-    def shiny(self) -> bool | None: ...
+    def shiny(self) -> bool | None:
+        """Return whether brightness changes between views as gloss does; None if that is unknown."""
 
 
 @dataclass(frozen=True)

@@ -142,6 +142,7 @@ class GaussianKernels:
         kind = _kind(splats)
 
         def walk_back(band: Band) -> Tensor:
+            """Return the gradients [N,16] of a band's splats."""
             blended = frame.take_blended() or self._blend(kind, frame, background, images, band, keep=True)
             return self._walk_back(kind, frame, blended, images, v_images)
 

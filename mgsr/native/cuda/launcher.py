@@ -45,7 +45,7 @@ _chosen: ContextVar[Launcher | None] = ContextVar("launcher", default=None)
 
 
 def launcher_for(tensor: torch.Tensor) -> Launcher | None:
-    """Return the launcher of the CUDA kernels for a tensor, or None for a tensor on the CPU, which has its own kernels.
+    """Return the launcher of the CUDA kernels for a tensor [...], or None for a tensor on the CPU.
 
     It is that of the tensor's card, or, inside `use_launcher`, the launcher given there. Raises GpuError when the card
     can't be used.

@@ -20,7 +20,7 @@ def pointers(*names: str) -> tuple[tuple[str, Any], ...]:
 
 
 def pointer(tensor: torch.Tensor | None) -> int | None:
-    """Return where a tensor's data begins; for None, the null pointer None.
+    """Return where the data of a tensor [...] begins; for None, the null pointer None.
 
     The tensor must be contiguous and outlive the launch (on a card: stay in use on the stream of the launch, as torch's
     memory does).

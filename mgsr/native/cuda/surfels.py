@@ -145,6 +145,7 @@ class SurfelKernels:
         images, v_images, v_splats = arguments[13:19], arguments[19:25], arguments[25:]
 
         def walk_back(band: Band) -> Tensor:
+            """Return the gradients [N,16] of a band's splats."""
             blended = frame.take_blended() or self._blend(frame, background, view, images, band, keep=True)
             return self._walk_back(frame, blended, view, images, v_images)
 

@@ -9,14 +9,14 @@ import { onPress } from "../parts/press";
 import { explain } from "../parts/words";
 
 const ABOUT: Record<string, string> = {
-  "mesh.glb": "Mesh for viewers and modelling programs, y up",
-  "mesh_textured.glb": "The same with fewer triangles, and a picture on them that shows the rest",
+  "mesh.glb": "Mesh for viewers and modelling programs, with y up",
+  "mesh_textured.glb": "The same mesh with fewer triangles and a texture for the detail",
   "mesh.obj": "Mesh for older programs",
   "mesh.ply": "Mesh in the frame of your cameras",
-  "splats_3d.ply": "3D Gaussians, for splat viewers",
-  "splats_2d.ply": "Flat Gaussians (surfels), for splat viewers",
-  "report.html": "The report, one file that needs nothing else",
-  "report.json": "The report's figures, for programs",
+  "splats_3d.ply": "Gaussians for splat viewers",
+  "splats_2d.ply": "Surfels for splat viewers",
+  "report.html": "The report, a single file",
+  "report.json": "The figures of the report, for programs",
 };
 
 /** The section of all files. */

@@ -23,7 +23,7 @@ export function homeView(service: Service, options: Options, tray: UploadTray): 
       "div",
       { class: "intro" },
       h("h1", {}, "Surfaces from photographs"),
-      h("p", { class: "lead" }, "Photographs with known camera poses in; a mesh, splats and clean renders out."),
+      h("p", { class: "lead" }, "MGSR turns photographs with known camera poses into a mesh, splats and clean renders."),
     ),
     picker.element,
     listing.element,
@@ -75,8 +75,8 @@ class Picker {
       h(
         "p",
         { class: "note" },
-        "Photographs with their poses, as COLMAP, nerfstudio, Blender or NeuS write them. ",
-        `zip, tar, tar.gz or tar.zst, up to ${bytes(this.options.max_upload)}.`,
+        "Photographs with camera poses from COLMAP, nerfstudio, Metashape, RealityCapture and many other programs. ",
+        `Archives may be zip, tar, tar.gz or tar.zst, up to ${bytes(this.options.max_upload)}.`,
       ),
       archive,
       folder,
@@ -107,11 +107,11 @@ class Picker {
   }
 
   private refusal(capture: Capture | null): string | null {
-    if (this.tray.busy) return "An upload is under way. Wait for its end, or cancel it.";
-    if (capture === null) return "There were no files in it. Choose a folder of photographs, or an archive.";
+    if (this.tray.busy) return "An upload is in progress. Wait until it ends, or cancel it.";
+    if (capture === null) return "The folder has no files. Choose a folder of photographs, or an archive.";
     if (capture.archive.size <= this.options.max_upload) return null;
     const [has, limit] = [bytes(capture.archive.size), bytes(this.options.max_upload)];
-    return `This has ${has}; the service takes at most ${limit}. Use smaller or fewer images.`;
+    return `This capture has ${has}, but the service accepts at most ${limit}. Use smaller or fewer images.`;
   }
 
   private ask(capture: Capture): void {

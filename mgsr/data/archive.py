@@ -192,6 +192,7 @@ class _Zstd:
         self._stream = stream
 
     def read(self, count: int) -> bytes:
+        """Read at most `count` bytes. Raises EOFError for damaged data."""
         import zstandard
 
         try:
@@ -209,6 +210,7 @@ class _Gauge:
         self.left: float = _HEADER_BYTES
 
     def read(self, count: int) -> bytes:
+        """Read at most `count` bytes. Raises tarfile.ReadError for a header that is too long."""
         data: bytes = self._stream.read(count)
         self.left -= len(data)
         if self.left < 0:
@@ -296,12 +298,14 @@ class _Budget:
             raise ArchiveError("archive_too_many_members", text)
 
     def count_member(self, name: str) -> None:
+        """Count a member. Raises ArchiveError if there are too many."""
         self._members += 1
         if self._members > (most := self._limits.members):
             text = f"exceeds the limit of {most} files; archive fewer files"
             raise _refused(self.archive, name, text, "archive_too_many_members")
 
     def count_bytes(self, name: str, count: int) -> None:
+        """Count unpacked bytes of a member. Raises ArchiveError beyond the limits of size and ratio."""
         self._bytes += count
         if self._bytes > (most := self._limits.unpacked):
             text = f"would exceed the limit of {most} unpacked bytes; use fewer or smaller files"

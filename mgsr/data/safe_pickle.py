@@ -127,6 +127,7 @@ _MADE = {
 
 class _Unpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
+        """Return the stand-in of a class. Raises pickle.UnpicklingError for one that no array needs."""
         if (module, name) not in _MADE:
             raise pickle.UnpicklingError(f"{module[:80]}.{name[:80]} is refused because it is not part of an array")
         return _MADE[module, name]

@@ -1,11 +1,14 @@
 """`flash.npz`: a flash on the camera, and the surface that it lights, as a run found them before training.
 
-Arrays: `vertices` [V,3] and `faces` [F,3] of the surface, in the user's frame; `ambient` [V], the light at each vertex
-that is not the lamp's; `proxy_vertex` [V], the index of the vertex from which each vertex takes position, normal and
-light, where photographs do not confirm its own; `lamp` [3]: how far the lamp is to the right of the lens and below it,
-in the user's unit, and the light that it sends to a surface that faces it at a distance of 1. Light is a share of the
-brightest in the photographs. The splats' transmitted colours are those under even light. In a pixel that gets the light
-l, the transmitted colour c, in sRGB, becomes (c + 0.055) l^(1/2.4) - 0.055.
+- `vertices` [V,3], `faces` [F,3]: the surface, in the user's frame.
+- `ambient` [V]: the light at each vertex that does not come from the lamp.
+- `proxy_vertex` [V]: the vertex from which each vertex takes position, normal and light. It is another one where
+  photographs do not confirm its own.
+- `lamp` [3]: how far the lamp is to the right of the lens and below it, in the user's unit, and the light that it sends
+  to a surface that faces it at a distance of 1.
+
+Light is a share of the brightest in the photographs. The splats' transmitted colours are those under even light. In a
+pixel that gets the light l, the transmitted colour c, in sRGB, becomes (c + 0.055) l^(1/2.4) - 0.055.
 
 Where the origin of the user's frame lies far away, there is also `origin` [3] (see `far_origin.py`): the vertices'
 places in the frame are `vertices` plus `origin`.

@@ -79,7 +79,7 @@ def write_textured_glb(path: Path, mesh: Mesh, uvs: np.ndarray, picture: np.ndar
     """Write a mesh with a texture as binary glTF 2.0.
 
     uvs: [V,2] in 0..1 from the upper left corner of `picture` [H,W,3] uint8, sRGB as glTF wants it, stored without
-    loss. See `glb`; the other arguments and errors as of `write_ply`.
+    loss. See `glb`; the other arguments and errors as of `write_ply`. Raises MeshError if uvs has another shape.
     """
     import cv2  # late: training needs no OpenCV
 

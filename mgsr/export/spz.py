@@ -1,11 +1,12 @@
 """Splats as SPZ, Niantic's packed format: about a tenth of the PLY's size, with hardly visible rounding.
 
-Source: the README of Niantic's spz and its versions 2 and 3: gzip of a 16-byte header and one array after the other,
-all bytes: positions as 24-bit fixed point, opacities, colours, log scales in sixteenths, quaternions, and higher colour
-coefficients with 5 bits in the first degree and 4 in the others. Version 2 keeps x, y, z of the quaternion with w >= 0,
-version 3 the three smaller parts in ten bits each. The format has y up and z backwards where splat PLYs have y down and
-z forward, so everything is turned by half a turn about x on the way, as Niantic's own converter does. The format has no
-place for the light split's reflected half.
+The file is the gzip of a 16-byte header and these arrays of bytes: positions as 24-bit fixed point, opacities, colours,
+log scales in sixteenths, quaternions, and higher colour coefficients with 5 bits in the first degree and 4 in the
+others. Version 2 keeps x, y, z of the quaternion with w >= 0, version 3 the three smaller parts in ten bits each.
+Source: the README of Niantic's spz, versions 2 and 3.
+
+The format has y up and z backwards where splat PLYs have y down and z forward. All data therefore turns by half a turn
+about x, as in Niantic's own converter. The format has no place for reflected light.
 
 It has no place for notes either. Where positions are about another origin than the frame's, the comment of the gzip
 header (RFC 1952, section 2.3), which decoders skip, names it as PLYs do (`ply_notes.py`): "mgsr origin X Y Z", in the

@@ -103,7 +103,10 @@ class FusedAdam:
             self._adopt(name, param.detach()[rows], self._first[name][rows], self._second[name][rows])
 
     def extend(self, rows: Mapping[str, torch.Tensor]) -> None:
-        """Append rows [M, ...] to every parameter, with zero moments. Parameters become new leaves."""
+        """Append rows [M, ...] to every parameter, with zero moments. Parameters become new leaves.
+
+        Raises TensorError for other names, or different numbers of rows.
+        """
         if set(rows) != set(self.params):
             raise TensorError(f"rows: expected {sorted(self.params)}, got {sorted(rows)}")
         if len({new.shape[0] for new in rows.values()}) > 1:

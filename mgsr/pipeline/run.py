@@ -91,8 +91,10 @@ def train_only(
     progress: EventCallback = ignore,
     should_stop: StopCheck = never,
 ) -> TrainResult:
-    """Train as `run_scene` does before it makes the surface, and leave the splats in `out`; the same arguments and
-    errors, but a time budget is refused: it is for whole runs."""
+    """Train as `run_scene` does before it extracts the surface, and leave the splats in `out`.
+
+    The arguments and errors are those of `run_scene`. Raises ConfigError for a time budget, which is for whole runs.
+    """
     if config.time_budget is not None:
         raise ConfigError(
             "time_budget applies to whole runs, and `mgsr train` cannot honour it; use `mgsr run`, or choose a preset"

@@ -164,6 +164,7 @@ class Trainer:
         done_before = self._done(stage)
 
         def train(candidate: str, iterations: int) -> None:
+            """Train a candidate. Raises Cancelled if a stop is requested."""
             guard = Guard(stage, self.config.watch.check_every, self.incidents)
             for done in range(iterations):
                 if self.should_stop is not None and self.should_stop():

@@ -134,8 +134,8 @@ def test_metashape_slaves_of_multi_camera_systems(tmp_path: Path) -> None:
     capture = read_capture(metashape(tmp_path, camera=pairs), "metashape")
     assert [photo.image.name for photo in capture.photos] == ["IMG_0.JPG", "IMG_2.JPG"]
     assert [str(error) for error in capture.lost] == [
-        f"cameras.xml, camera 'IMG_{i}': it is a slave of a multi-camera system, which is not supported: add the "
-        "photographs to Metashape as single cameras, align and export them again"
+        f"cameras.xml, camera 'IMG_{i}': it is part of a multi-camera system, which is not supported; add the "
+        "photographs to Metashape as single cameras, align them and export them again"
         for i in (1, 3)
     ]
 
@@ -155,7 +155,7 @@ def test_metashape_groups_tell_photographs_of_one_name_apart(tmp_path: Path, lab
     if label == "left":
         assert names == [] and len(capture.lost) == 4
         with pytest.raises(
-            SceneError, match=r"cameras\.xml: the photograph '.*' may be cam0/.*; name it with its folder"
+            SceneError, match=r"cameras\.xml: the photograph '.*' may be cam0/.*; write its folder as well"
         ):
             usable_photos(capture, SceneFolder.at(tmp_path))
     else:
@@ -189,7 +189,7 @@ def test_metashape_in_utf_16_beside_other_documents(tmp_path: Path) -> None:
         ),
         ({"terms": {"cx": 1}}, "camera 'IMG_0': f: expected 1 numbers, got ''"),
         ({"terms": {"f": "nan"}}, "camera 'IMG_0': f: expected 1 numbers, got 'nan'"),
-        ({"terms": TERMS | {"p3": 0, "p4": 0.5}}, "camera 'IMG_0': distortion p4 is 0.5, which is not"),
+        ({"terms": TERMS | {"p3": 0, "p4": 0.5}}, "camera 'IMG_0': distortion p4 is 0.5, but MGSR supports only 0"),
         ({"camera": lambda i: 'sensor_id="7"'}, "not valid XML: duplicate attribute"),
         ({"chunk": "<transform><scale>0</scale></transform>"}, "expected a scale of the chunk above 0, got 0"),
         ({"chunk": "<transform><rotation>1 2</rotation></transform>"}, "rotation: expected 9 numbers, got '1 2'"),
@@ -275,7 +275,7 @@ def test_realitycapture_left_out_columns_and_photographs(tmp_path: Path) -> None
     (tmp_path / "images/b.jpg").unlink()
     folder = SceneFolder.at(tmp_path)
     _, notes = usable_photos(read_capture(tmp_path, "realitycapture"), folder)
-    assert notes == ("1 of 3 photographs of export.csv left out: b.jpg is missing",)
+    assert notes == ("1 of 3 photographs of export.csv skipped: b.jpg is missing",)
     (tmp_path / "images/c.jpg").unlink()
     with pytest.raises(SceneError, match=r"only 1 of the 3 .* by export\.csv exist \(b\.jpg is missing\); copy"):
         usable_photos(read_capture(tmp_path, "realitycapture"), SceneFolder.at(tmp_path))
@@ -298,9 +298,9 @@ def test_realitycapture_paths_of_another_machine_and_other_tables(tmp_path: Path
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (HEADER + "\n", "export.csv: no rows after the columns' names; align the photographs"),
-        (HEADER.replace(",", ";"), r"export\.csv: its columns are #name;x;y;alt.*with commas between them"),
-        ("#cameras 1\n#name,x,y,alt\na,0,0,1\n", r"its columns are #name,x,y,alt; expected #name,x,.*External"),
+        (HEADER + "\n", "export.csv: the table has no rows; align the photographs"),
+        (HEADER.replace(",", ";"), r"export\.csv: separated by commas, got #name;x;y;alt"),
+        ("#cameras 1\n#name,x,y,alt\na,0,0,1\n", r"expected the columns #name,x,.* got #name,x,y,alt; .*External"),
     ],
 )
 def test_realitycapture_tables_of_other_kinds_name_the_right_export(tmp_path: Path, text: str, message: str) -> None:

@@ -249,7 +249,7 @@ def test_the_model_with_most_photographs_is_used(tmp_path: Path, text: bool) -> 
         (part.write_text if text else part.write_binary)(str(folder))
     capture = read_capture(tmp_path, "colmap")
     assert len(capture.photos) == 10
-    assert capture.notes == ("sparse/10 is used, with 10 photographs; sparse/0 has 2, sparse/1 has 7",)
+    assert capture.notes == ("the model sparse/10 with 10 photographs is used; sparse/0 has 2, sparse/1 has 7",)
 
 
 @pytest.mark.parametrize("points", ["", "1 2 -1", "7 20 -1 9 10 -1 3 4 5 6 7 8", "1.5 2.5 -1 3e1 4 7"])
@@ -319,7 +319,7 @@ def test_damaged_text_model(tmp_path: Path) -> None:
 def test_missing_cameras_file(tmp_path: Path) -> None:
     write(tmp_path, "PINHOLE")
     (tmp_path / "sparse/0/cameras.bin").unlink()
-    with pytest.raises(SceneError, match=r"cameras\.bin is missing"):
+    with pytest.raises(SceneError, match=r"lacks cameras\.bin"):
         load_scene(tmp_path, DataConfig())
 
 

@@ -212,7 +212,7 @@ def test_record3d_frames_that_can_not_be_used(tmp_path: Path) -> None:
     assert "frame 1: the pose has the invalid quaternion [0.0, 0.0, 0.0, 0.0]" in str(capture.lost[0])
     assert "frame 2: pose: expected 7 numbers, got '[1, 2]'" in str(capture.lost[1])
     path.write_text(json.dumps(content | {"poses": []}))
-    with pytest.raises(SceneError, match=r"metadata\.json: no poses; record with the LiDAR camera"):
+    with pytest.raises(SceneError, match=r"metadata\.json: the file has no poses; record with the LiDAR camera"):
         read_capture(tmp_path, "record3d")
 
 
@@ -303,7 +303,7 @@ def test_llff_videos_in_place_of_photographs(tmp_path: Path) -> None:
     llff(tmp_path)
     for path in (tmp_path / "images").iterdir():
         path.rename(tmp_path / f"cam{path.stem}.mp4")
-    with pytest.raises(SceneError, match="but there are none; take one frame of each video"):
+    with pytest.raises(SceneError, match="but there are no photographs; extract one frame of each video"):
         read_capture(tmp_path, "llff")
 
 
@@ -632,7 +632,7 @@ def test_tanks_photographs_without_a_pose(tmp_path: Path) -> None:
     log.write_text("\n".join(lines))
     capture = read_capture(tmp_path, "tanks")
     assert [photo.image.name for photo in capture.photos] == ["000001.jpg", "000003.jpg", "000004.jpg"]
-    assert capture.notes == ("1 of 4 photographs have no pose in Ball_COLMAP_SfM.log",)
+    assert capture.notes == ("Ball_COLMAP_SfM.log has no pose of 1 of 4 photographs",)
 
 
 def test_tanks_photographs_that_were_taken_out(tmp_path: Path) -> None:
@@ -658,7 +658,8 @@ def test_tanks_log_and_photographs_cut_alike(tmp_path: Path) -> None:
 def test_tanks_count_of_photographs(tmp_path: Path) -> None:
     draw(tanks(tmp_path, "images/a{:03d}.jpg") / "images/b.jpg")
     with pytest.raises(
-        SceneError, match="poses of 4 photographs, but 5 in images; they go by the order of their names"
+        SceneError,
+        match="it has 4 poses, but images has 5 photographs; poses follow the order of the photographs' names",
     ):
         read_capture(tmp_path, "tanks")
 
@@ -670,7 +671,7 @@ def test_tanks_without_intrinsics(tmp_path: Path) -> None:
     """
     (tanks(tmp_path) / "intrinsics.txt").unlink()
     with pytest.raises(
-        SceneError, match=r"Ball_COLMAP_SfM\.log: has poses, but the intrinsics .* into intrinsics\.txt"
+        SceneError, match=r"Ball_COLMAP_SfM\.log: it has poses but no intrinsics; write .* to intrinsics\.txt"
     ):
         read_capture(tmp_path, "tanks")
 

@@ -155,14 +155,14 @@ def test_an_archive_of_too_few_photographs(tmp_path: Path) -> None:
         for i in range(2):
             draw(tmp_path / f"{i}.png")
             out.write(tmp_path / f"{i}.png", f"holiday/{i}.png")
-    with pytest.raises(SceneError, match=r"photos\.zip: 2 images, but at least 3 are needed"):
+    with pytest.raises(SceneError, match=r"photos\.zip: it holds 2 images, but at least 3 are needed"):
         find_poses(tmp_path / "photos.zip", tmp_path / "scene", 0)
 
 
 def test_a_folder_that_holds_something_is_left_alone(tmp_path: Path) -> None:
     for i in range(4):
         draw(tmp_path / f"photos/{i}.png")
-    with pytest.raises(ConfigError, match="photos: is not empty; name a new folder"):
+    with pytest.raises(ConfigError, match="photos: the folder is not empty; choose a new folder"):
         find_poses(tmp_path / "photos", tmp_path / "photos", 0)
     assert len(list((tmp_path / "photos").iterdir())) == 4
 

@@ -119,7 +119,9 @@ def test_photographs_that_may_be_several(tmp_path: Path) -> None:
     assert found.paths[:2] == [tmp_path / "left/0.png", tmp_path / "right/1.png"]
     assert isinstance(found.paths[2], MissingPhotoError)
     both = folder.find_photos("poses.txt", ["0.png"]).paths[0]
-    assert re.match(r"poses\.txt: the photograph '0\.png' may be left/0\.png or right/0\.png; name it", str(both))
+    assert re.match(
+        r"poses\.txt: the photograph '0\.png' may be left/0\.png or right/0\.png; write its folder", str(both)
+    )
 
 
 def test_depth_maps_of_the_same_names_are_no_photographs(tmp_path: Path) -> None:
@@ -131,10 +133,14 @@ def test_depth_maps_of_the_same_names_are_no_photographs(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("walk.mp4", "x", r"walk\.mp4: a video; take frames from it.*ffmpeg.*mgsr poses"),
-        ("a.png", "x", r"a\.png: a single photograph; give the folder"),
-        ("scene.zip", LFS, r"scene\.zip is a pointer of Git LFS and not the file itself; .*`git lfs pull`"),
-        ("scene.zip", "<!DOCTYPE html><html>", r"scene\.zip is a web page and not the file itself; download it again"),
+        ("walk.mp4", "x", r"walk\.mp4: a video .*; extract frames.*ffmpeg.*mgsr poses"),
+        ("a.png", "x", r"a\.png: this is a single photograph; use the folder"),
+        ("scene.zip", LFS, r"scene\.zip is a pointer of Git LFS, not the file itself; .*`git lfs pull`"),
+        (
+            "scene.zip",
+            "<!DOCTYPE html><html>",
+            r"scene\.zip is a web page, not the file itself; download the file again",
+        ),
         ("scene.zip", "", r"scene\.zip is an empty file"),
         ("transforms.json", "{}", r"transforms\.json: a file of a scene; give the folder that holds it"),
     ],
@@ -192,7 +198,7 @@ def test_a_missing_photograph_is_not_replaced_by_another_image_of_its_name(root:
         save(root / folder / path.name, GREY, "RGB")
     (root / "photos/003.png").unlink()
     scene = load_scene(root, DataConfig())
-    assert scene.notes[0] == "1 of 12 photographs of cameras.json left out: photos/003.png is missing"
+    assert scene.notes[0] == "1 of 12 photographs of cameras.json skipped: photos/003.png is missing"
     assert len(scene.train) + len(scene.test) == 11
 
 
@@ -272,7 +278,9 @@ def test_one_mask_for_two_photographs_is_used_for_none(root: Path) -> None:
 
     edit_json(root / "cameras.json", rig)
     scene = load_scene(root, DataConfig())
-    assert not scene.masked and scene.notes[0].startswith("masks/0.png may be the mask of several photographs: it is")
+    assert not scene.masked and scene.notes[0].startswith(
+        "masks/0.png may be the mask of several photographs, so it is ignored"
+    )
 
 
 def test_extensions_in_capitals(root: Path) -> None:
@@ -292,5 +300,5 @@ def test_a_confined_scene_takes_nothing_from_outside(tmp_path: Path, root: Path,
         (root / "photos").rename(inner / "photos")
         edit_json(root / "cameras.json", lambda c: [v.update(image="job/" + v["image"]) for v in c["views"]])
     assert views(inner) == 12
-    with pytest.raises(SceneError, match="only 0 of 12 photographs" if cameras else "12 images, but no cameras"):
+    with pytest.raises(SceneError, match="only 0 of the 12 photographs" if cameras else "12 images but no cameras"):
         load_scene(inner, DataConfig(confined=True))

@@ -193,7 +193,7 @@ def test_alpha_of_255_everywhere_is_no_mask(tmp_path: Path, ball: BallCapture) -
         save(path, np.full((SIDE, SIDE, 4), 255, np.uint8), "RGBA")
     scene = load_scene(root, DataConfig())
     assert not scene.masked and scene.train[0].alpha is None
-    with pytest.raises(SceneError, match="masks=object: every mask is white"):
+    with pytest.raises(SceneError, match="masks=object: every mask is completely white"):
         load_scene(root, DataConfig(masks=Masks.OBJECT))
 
 

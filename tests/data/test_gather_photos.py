@@ -133,7 +133,7 @@ def test_what_is_no_photograph_is_left_out_with_its_cure(tmp_path: Path) -> None
         ("cut.jpg", "not a readable image"),
         ("empty.png", "empty.png is an empty file; copy or download it again"),
         ("film.heic", "film.heic is a video, not a photograph; extract frames"),
-        ("pointer.png", "pointer.png is a pointer of Git LFS .*`git lfs pull`"),
+        ("pointer.png", "pointer.png is a pointer of Git LFS, .*`git lfs pull`"),
     ):
         found = gather(photos, [photos / item for item in [*names, name]], tmp_path / name / "images")
         assert len(found.shots) == 9 and len(found.notes) == 1
@@ -175,7 +175,7 @@ def test_a_video_instead_of_photographs(tmp_path: Path) -> None:
     film = tmp_path / "photos/clip.mp4"
     film.parent.mkdir()
     film.write_bytes(b"film")
-    with pytest.raises(SceneError, match=r"clip\.mp4 is a video; take frames from it, such as by `ffmpeg"):
+    with pytest.raises(SceneError, match=r"clip\.mp4 is a video; extract frames, for example with `ffmpeg"):
         find_poses(film, tmp_path / "scene", 0)
     with pytest.raises(SceneError, match=r"photos: 0 images; .*; 1 video \(clip\.mp4\) left out; .*`ffmpeg"):
         find_photos(film.parent, film.parent)

@@ -150,7 +150,9 @@ def test_channels_of_an_exr_go_by_their_names(
 def test_an_exr_of_which_no_layer_is_the_picture(tmp_path: Path, channels: dict[str, float]) -> None:
     write_exr(tmp_path / "a.exr", channels)
     name = next(iter(channels))
-    with pytest.raises(SceneError, match=rf"a\.exr: expected channels R, G, B.*got .*{name}.*view 3.*layer alone"):
+    with pytest.raises(
+        SceneError, match=rf"a\.exr: expected channels R, G, B.*got .*{name}.*view 3.*only the photograph's layer"
+    ):
         read_image(tmp_path / "a.exr", "view 3")
 
 
@@ -328,7 +330,7 @@ def test_truncated_jpeg(tmp_path: Path) -> None:
         read_image(tmp_path / "a.jpg", "view 3")
 
 
-@pytest.mark.parametrize(("cut", "message"), [(20, "not a readable image"), (400, "the image is damaged")])
+@pytest.mark.parametrize(("cut", "message"), [(20, "this file is not a readable image"), (400, "the image is damaged")])
 def test_truncated_heic(tmp_path: Path, cut: int, message: str) -> None:
     pillow_heif = pytest.importorskip("pillow_heif")
     pillow_heif.from_pillow(Image.new("RGB", (96, 64))).save(tmp_path / "a.heic")

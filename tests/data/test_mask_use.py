@@ -84,7 +84,7 @@ def test_a_ball_that_all_images_cut_off_may_be_either() -> None:
 
 
 def test_inverted_silhouettes() -> None:
-    with pytest.raises(SceneError, match=r"the masks are inverted: .*masks=ignore"):
+    with pytest.raises(SceneError, match=r"the masks are inverted, .*masks=ignore"):
         find_mask_use([255 - mask for mask in silhouettes(BALL)], cameras(BALL))
 
 

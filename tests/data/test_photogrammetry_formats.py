@@ -204,7 +204,7 @@ def test_damaged_bundler_files_are_named(tmp_path: Path) -> None:
         fails(tmp_path, "bundler", "bundle.out", reason, "export")
     (tmp_path / "bundle.out").write_text(whole)
     (tmp_path / "list.txt").write_text("a.jpg\n")
-    fails(tmp_path, "bundler", "list.txt: names 1 photographs for the 4 cameras of bundle.out")
+    fails(tmp_path, "bundler", "list.txt: the list names 1 photographs, but bundle.out has 4 cameras")
     (tmp_path / "list.txt").unlink()
     fails(tmp_path, "bundler", "bundle.out: 0 lists of its 4 photographs", "put list.txt beside it")
 
@@ -985,7 +985,7 @@ def test_one_bad_xmp_is_lost_alone(tmp_path: Path) -> None:
     (tmp_path / "000.xmp").write_text((tmp_path / "000.xmp").read_text()[:-30])
     loses(tmp_path, "realitycapture_xmp", "000.xmp: not valid XML")
     (tmp_path / "000.xmp").write_text(xmp({name: value for name, value in rc_values(0).items() if name != "Position"}))
-    loses(tmp_path, "realitycapture_xmp", "000.xmp: no Position and Rotation")
+    loses(tmp_path, "realitycapture_xmp", "000.xmp: it has no Position and Rotation")
     (tmp_path / "000.xmp").write_text("<!DOCTYPE x [<!ENTITY a 'b'>]>" + xmp(rc_values(0)))
     loses(tmp_path, "realitycapture_xmp", "000.xmp: has a DOCTYPE")
     realitycapture_xmp(tmp_path)
@@ -1049,7 +1049,7 @@ def test_kapture_places_sensors_themselves_and_through_rigs(tmp_path: Path, edit
     ("file", "old", "new", "parts"),
     [
         ("records_camera", "0000, cam0", "0000, cam1", ("sensors.txt has no camera cam1", "COLMAP")),
-        ("records_camera", "0000, cam0", "0009, cam0", ("no pose of cam0 at time 0009",)),
+        ("records_camera", "0000, cam0", "0009, cam0", ("has no pose of cam0 or its rig at time 0009",)),
         ("trajectories", fields(quaternion(ROTATIONS[0])), ", , , ", ("pose: expected 7 numbers",)),
     ],
 )
@@ -1123,8 +1123,8 @@ def test_pix4d_projects_as_its_head_says(tmp_path: Path, edit: Callable[..., Any
 @pytest.mark.parametrize(
     ("old", "new", "parts"),
     [
-        ("camera model m", "model m", ("0 lines after its head",)),
-        ("0.01 -0.02\n", "", ("lines after its head, expected 10 for each photograph",)),
+        ("camera model m", "model m", ("got 0 lines in all",)),
+        ("0.01 -0.02\n", "", ("expected 10 lines per photograph after the header",)),
         ("0.01 -0.02\n", "0.01\n", ("tangential distortion: expected 2 numbers",)),
         (f".jpg {WIDTH} {HEIGHT}", "", ("expected a photograph's name, width and height",)),
     ],

@@ -140,11 +140,11 @@ def test_neus_refusals(tmp_path: Path, change: Callable[..., Any], message: str)
 def test_neus_file_that_is_no_archive(tmp_path: Path) -> None:
     neus(tmp_path)
     (tmp_path / "cameras_sphere.npz").write_bytes(b"PK\x03\x04 not really")
-    with pytest.raises(SceneError, match=r"cameras_sphere\.npz: damaged"):
+    with pytest.raises(SceneError, match=r"cameras_sphere\.npz: the file is damaged"):
         read_capture(tmp_path, "neus")
 
 
 def test_neus_without_images(tmp_path: Path) -> None:
     np.savez(tmp_path / "cameras_sphere.npz", world_mat_0=np.eye(4))
-    with pytest.raises(SceneError, match="no images in image/ or images/; put them there"):
+    with pytest.raises(SceneError, match="there are no images in image/ or images/; copy them there"):
         read_capture(tmp_path, "neus")

@@ -188,7 +188,9 @@ def test_what_is_too_large_is_not_sent(visit: Opener) -> None:
         page.route("**/options", lambda route: route.fulfill(json={**route.fetch().json(), "max_upload": 1000}))
         page.reload()
         page.set_input_files(ARCHIVE, zip_file(size=5000) | {"buffer": b"PK" + bytes(5000)})
-        expect(page.get_by_role("alert")).to_contain_text("This capture has 5.0 kB, but the service accepts at most 1.0 kB.")
+        expect(page.get_by_role("alert")).to_contain_text(
+            "This capture has 5.0 kB, but the service accepts at most 1.0 kB."
+        )
         expect(page.get_by_role("button", name="Start", exact=True)).to_have_count(0)
 
 

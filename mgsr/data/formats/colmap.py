@@ -330,6 +330,7 @@ class _Bytes:
         return values
 
     def skip(self, count: int) -> None:
+        """Move on by `count` bytes. Raises ValueError at the end of the file."""
         self.at += count
         if self.at > len(self.data):
             raise ValueError("the file is truncated")

@@ -35,7 +35,10 @@ def recognises(root: Path) -> str | None:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every record of a camera that has a pose, its own or through its rig, and the points."""
+    """Read every record of a camera that has a pose, its own or through its rig, and the points.
+
+    Raises SceneError if the file of the poses is missing.
+    """
     if not (folder.root / _TRAJECTORIES).is_file():
         raise SceneError(f"{folder.root.name} lacks {_TRAJECTORIES}, the file of the poses; add it")
     records = list(_rows(folder.root, _RECORDS, 3))

@@ -22,8 +22,8 @@ from mgsr.errors import SceneError, in_short
 
 _LENSES = {"frame": False, "fisheye": True}
 _SLAVE = (
-    "multi-camera systems are not supported; add the photographs to Metashape as single cameras, align them and "
-    "export them again"
+    "part of a multi-camera system, which is not supported; add the photographs to Metashape as single cameras, align "
+    "them and export them again"
 )
 _TERMS = ("f", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
 

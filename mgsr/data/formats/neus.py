@@ -32,7 +32,8 @@ def recognises(root: Path) -> str | None:
 def read(folder: SceneFolder) -> Capture:
     """Read every photograph of image/ by name, with world_mat_0, world_mat_1, ... in the world's frame.
 
-    `scale_mat`, which gives the normalisation of other programs, is not needed.
+    `scale_mat`, which gives the normalisation of other programs, is not needed. Raises SceneError if there is not one
+    image per camera.
     """
     root, name = folder.root, recognises(folder.root)
     assert name is not None, "read() accepts recognised folders only"

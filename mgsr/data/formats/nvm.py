@@ -34,7 +34,7 @@ def recognises(root: Path) -> str | None:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read the photographs and points of the model with most photographs."""
+    """Read the photographs and points of the model with most photographs. Raises SceneError if all are empty."""
     file = recognises(folder.root)
     assert file is not None, "read() accepts recognised folders only"
     content = _content(folder.root / file)

@@ -28,7 +28,7 @@ def recognises(root: Path) -> str | None:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every view of the file."""
+    """Read every view of the file. Raises SceneError if `views` is not a list of objects."""
     views = read_json(folder.root / _FILE)["views"]
     if not isinstance(views, list) or not all(isinstance(view, dict) for view in views):
         raise SceneError(f"{_FILE}: expected 'views' to be a list of objects with K, cam_from_world and image")

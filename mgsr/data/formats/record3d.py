@@ -38,7 +38,10 @@ def _is_record3d(path: Path) -> bool:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every frame: photographs by number, and intrinsics of the frame where the file has them."""
+    """Read every frame: photographs by number, and intrinsics of the frame where the file has them.
+
+    Raises SceneError if the file has no poses.
+    """
     name = recognises(folder.root)
     assert name is not None, "read() accepts recognised folders only"
     content = read_json(folder.root / name)

@@ -125,7 +125,9 @@ def _photographs(folder: SceneFolder, name: str, order: list[int]) -> dict[int, 
         return {n: str(path.relative_to(root)) for n, path in zip(sorted(order), best, strict=True)}
     if found and all(_NUMBERED.fullmatch(path.stem) for path in found[0]):
         return {n: str(found[0][0].with_name(f"{n + 1:06d}").relative_to(root)) for n in order}
-    there = f"{len(found[0])} in {folder.shown(found[0][0].parent)}" if found else "none there"
+    there = (
+        f"{folder.shown(found[0][0].parent)} has {len(found[0])} photographs" if found else "there are no photographs"
+    )
     raise SceneError(
         f"{name}: it has {len(order)} poses, but {there}; poses follow the order of the photographs' names, so copy "
         "exactly these to images/"

@@ -54,11 +54,13 @@ def _nothing(*rest: Any) -> Mesh:
 
 PARTS: dict[str, Part] = {
     "stereo": lambda: _replaced(fuse_roughly=_nothing),
-    "stereo at half the size": lambda: _replaced(weigh_gaps=lambda coarse, fine: [0 * each for each in coarse]),
+    "stereo on photographs of half the size": lambda: _replaced(
+        weigh_gaps=lambda coarse, fine: [0 * each for each in coarse]
+    ),
     "total variation": lambda: [patch.object(fusion, "VARIATION", 1e-6)],
-    "the hull where it is likelier": lambda: _replaced(CLEARLY=0.0, DISBELIEVED=np.inf),
-    "shading": lambda: _replaced(estimate_light=lambda *given: LightEstimate(), shape_from_shading=_unmoved),
-    "parallax": lambda: _replaced(refine_photometrically=_unmoved),
+    "the hull where it fits better": lambda: _replaced(CLEARLY=0.0, DISBELIEVED=np.inf),
+    "shape from shading": lambda: _replaced(estimate_light=lambda *given: LightEstimate(), shape_from_shading=_unmoved),
+    "photometric refinement": lambda: _replaced(refine_photometrically=_unmoved),
 }
 
 

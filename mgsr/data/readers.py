@@ -120,7 +120,7 @@ def _as_folder(path: Path, unpack_to: Path | None) -> Path:
     if odd := what_instead(path):
         raise SceneError(f"{path} {odd}")
     if is_video(path):
-        raise SceneError(f"{path}: a video; {VIDEO_CURE}")
+        raise SceneError(f"{path} is a video; {VIDEO_CURE}")
     if path.suffix.lower() in IMAGE_SUFFIXES:
         raise SceneError(f"{path}: this is a single photograph; use the folder of all photographs and their cameras")
     if path.suffix.lower() in _CAMERA_SUFFIXES:

@@ -293,9 +293,7 @@ def test_a_full_disk_names_the_folder_and_the_cure(
 
     monkeypatch.setattr(archive, "open", full, raising=False)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    with pytest.raises(
-        OSError, match=rf"a\.zip unpacks to {tmp_path}/mgsr-scene-\w+/a; free some space.* TMPDIR"
-    ) as raised:
+    with pytest.raises(OSError, match=rf"a\.zip unpacks to {tmp_path}/mgsr-scene-\w+/a; free some .* TMPDIR") as raised:
         archive.unpack(written(tmp_path, ".zip", "a.png").rename(tmp_path / "a.zip"))
     assert raised.value.errno == number and not list(tmp_path.glob("mgsr-scene-*"))
 

@@ -659,7 +659,7 @@ def test_tanks_count_of_photographs(tmp_path: Path) -> None:
     draw(tanks(tmp_path, "images/a{:03d}.jpg") / "images/b.jpg")
     with pytest.raises(
         SceneError,
-        match="it has 4 poses, but images has 5 photographs; poses follow the order of the photographs' names",
+        match="it has 4 poses, but images has 5 photographs; poses follow the order of the photo",
     ):
         read_capture(tmp_path, "tanks")
 

@@ -177,7 +177,7 @@ def test_a_video_instead_of_photographs(tmp_path: Path) -> None:
     film.write_bytes(b"film")
     with pytest.raises(SceneError, match=r"clip\.mp4 is a video; extract frames, for example with `ffmpeg"):
         find_poses(film, tmp_path / "scene", 0)
-    with pytest.raises(SceneError, match=r"photos: 0 images; .*; 1 video \(clip\.mp4\) left out; .*`ffmpeg"):
+    with pytest.raises(SceneError, match=r"photos: it holds 0 images, .*; 1 video \(clip\.mp4\) skipped; .*`ffmpeg"):
         find_photos(film.parent, film.parent)
 
 

@@ -206,7 +206,7 @@ def test_damaged_bundler_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "list.txt").write_text("a.jpg\n")
     fails(tmp_path, "bundler", "list.txt: the list names 1 photographs, but bundle.out has 4 cameras")
     (tmp_path / "list.txt").unlink()
-    fails(tmp_path, "bundler", "bundle.out: 0 lists of its 4 photographs", "put list.txt beside it")
+    fails(tmp_path, "bundler", "bundle.out: expected one list of its 4 photographs, found 0", "put list.txt beside it")
 
 
 # VisualSFM
@@ -987,7 +987,7 @@ def test_one_bad_xmp_is_lost_alone(tmp_path: Path) -> None:
     (tmp_path / "000.xmp").write_text(xmp({name: value for name, value in rc_values(0).items() if name != "Position"}))
     loses(tmp_path, "realitycapture_xmp", "000.xmp: it has no Position and Rotation")
     (tmp_path / "000.xmp").write_text("<!DOCTYPE x [<!ENTITY a 'b'>]>" + xmp(rc_values(0)))
-    loses(tmp_path, "realitycapture_xmp", "000.xmp: has a DOCTYPE")
+    loses(tmp_path, "realitycapture_xmp", "000.xmp: the file has a DOCTYPE")
     realitycapture_xmp(tmp_path)
     (tmp_path / "000.jpg").unlink()
     capture = read_capture(tmp_path, "realitycapture_xmp")

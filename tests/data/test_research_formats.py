@@ -69,8 +69,8 @@ def test_middlebury_with_a_byte_order_mark_beside_a_file_of_macos(tmp_path: Path
     ("lines", "message"),
     [
         ([], r"v_par\.txt is an empty file"),
-        (["# none"], r"v_par\.txt: the first line must be the count"),
-        (["3", "v0.png 1 2 3"], r"expected the number of further lines \(1\), got '3'"),
+        (["# none"], r"v_par\.txt: expected the number of further lines \(0\) in the first line"),
+        (["3", "v0.png 1 2 3"], r"expected the number of further lines \(1\) in the first line, got '3'"),
         (["1", "v0.png 1 2 3"], "line 2: expected an image's name and 21 numbers .*got 3 numbers"),
         (["1", "v0.png " + "x " * 21], "line 2: could not convert"),
         (["1", "../elsewhere.png " + "1 " * 21], r"\.\./elsewhere\.png is missing"),
@@ -120,7 +120,7 @@ def test_masks_of_dtu_go_by_their_order(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda m: m.pop("world_mat_3"), r"3 cameras \(world_mat_0\.\.\.\), but 4 images in image/"),
+        (lambda m: m.pop("world_mat_3"), r"it has 3 cameras \(world_mat_0\.\.\.\), but image/ has 4 images"),
         (lambda m: m.pop("world_mat_1"), r"damaged or lacks world_mat_0"),
         (lambda m: m.update(world_mat_1=np.zeros((4, 4))), "world_mat_1 .*has NaN or is singular"),
         (lambda m: m.update(world_mat_1=np.full((4, 4), np.nan)), "world_mat_1 .*has NaN"),

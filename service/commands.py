@@ -31,7 +31,7 @@ def add_commands(app: typer.Typer) -> None:
 
 
 def serve(host: HostOption = "127.0.0.1", port: PortOption = 8000) -> None:
-    """Start everything on this machine: queue, a worker and the API. Ctrl-C stops it; jobs go on at the next start."""
+    """Start queue, worker and API on this machine. Ctrl-C stops them; jobs continue at the next start."""
     with refusals():
         from service.contract.settings import Settings
         from service.serve import serve as serve_all
@@ -46,8 +46,8 @@ def submit(
         Path | None,
         typer.Option("--out", "-o", metavar="OUT", help="The folder for the results. The default is out/SCENE."),
     ] = None,
-    preset: Annotated[str, typer.Option(help="draft, standard or high.")] = "standard",
-    method: Annotated[str, typer.Option(help="mgsr, 2dgs or 3dgs.")] = "mgsr",
+    preset: Annotated[str, typer.Option(help="The amount of work: draft, standard or high.")] = "standard",
+    method: Annotated[str, typer.Option(help="The branches to train: mgsr, 2dgs or 3dgs.")] = "mgsr",
     seed: Annotated[int, typer.Option(min=0)] = 0,
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting. Repeat it for several.")
@@ -60,7 +60,7 @@ def submit(
     ] = None,
     server: ServerOption = DEFAULT_SERVER,
 ) -> None:
-    """Send SCENE to a service. Its key, if it wants one, is taken from MGSR_KEY."""
+    """Send SCENE to a service. MGSR_KEY holds the key, if the service needs one."""
     with refusals():
         from service.client.submit import submit_scene
         from service.contract.options import JobOptions, parse_setting
@@ -84,7 +84,7 @@ def fetch(
     ] = None,
     server: ServerOption = DEFAULT_SERVER,
 ) -> None:
-    """Follow a job that was sent before, and fetch its results when it is done."""
+    """Follow a submitted job, and fetch its results at the end."""
     with refusals():
         from service.client.submit import fetch_job
 
@@ -93,7 +93,7 @@ def fetch(
 
 @keys.command("create")
 def create_key(name: Annotated[str, typer.Argument(help="The name of the key's owner.")]) -> None:
-    """Make a key and show it, once. From the first key on the service answers only those who show one."""
+    """Create a key and show it once. With at least one key, the service answers only requests with a key."""
     with refusals():
         token, key = _keys().create(name)
         print(token)
@@ -104,7 +104,7 @@ def create_key(name: Annotated[str, typer.Argument(help="The name of the key's o
 
 @keys.command("list")
 def list_keys() -> None:
-    """List the keys' ids, names and dates."""
+    """List ids, names and dates of the keys."""
     with refusals():
         for key in _keys().all():
             print(f"{key.id}  {key.created:%Y-%m-%d}  {key.name}")
@@ -112,7 +112,7 @@ def list_keys() -> None:
 
 @keys.command("revoke")
 def revoke_key(key_id: Annotated[str, typer.Argument(metavar="ID")]) -> None:
-    """Take a key back; services notice within seconds. Its jobs stay in the store."""
+    """Revoke a key; services notice within seconds. Its jobs stay in the store."""
     with refusals():
         if not _keys().revoke(key_id):
             raise SetupError(f"key {key_id!r} does not exist; `mgsr keys list` shows all keys")

@@ -61,8 +61,8 @@ def bench(
 ) -> None:
     """Run every SCENE with every method, preset, device, seed and variant, one after another.
 
-    Each runs in a process of its own, and OUT gets runs.csv, runs.md, curves.csv and plots. What is finished there
-    already is not run again; what fails is reported, and the rest goes on.
+    Each run has its own process. OUT receives runs.csv, runs.md, curves.csv and plots. Finished runs in OUT are not
+    repeated. A failed run is reported, and the others continue.
     """
     from mgsr.bench.cells import matrix, read_variants
     from mgsr.bench.machine import program_commit
@@ -80,7 +80,7 @@ def bench(
 
 
 def _run(cells: list[Cell], bench: Bench) -> int:
-    """Run the cells, and return the exit code: 0, 1 where a cell broke, 130 where it was stopped."""
+    """Run the cells, and return the exit code: 0, 1 if a cell broke, 130 if it was stopped."""
     from mgsr.bench.matrix import run_matrix
     from mgsr.bench.plots import have_matplotlib, write_plots
     from mgsr.bench.results import CURVES, DONE, RUNS, latest, read_curves, read_rows

@@ -26,9 +26,9 @@ UpOption = Annotated[
 
 
 def convert(source: SourceArgument, target: TargetArgument, scale: ScaleOption = 1.0, up: UpOption = None) -> None:
-    """Write the mesh or the splats of A as B: .ply, .glb, .obj; .ply, .compressed.ply, .spz.
+    """Convert A to B: a mesh (.ply, .glb, .obj), splats (.ply, .compressed.ply, .spz) or a scene.
 
-    A scene becomes a folder with undistorted photographs that COLMAP and nerfstudio read.
+    A scene becomes a folder with undistorted photographs, for COLMAP and nerfstudio.
     """
     with refusals():
         from mgsr.export.convert import convert as convert_file

@@ -22,7 +22,7 @@ def demo(
     device: DeviceOption = "auto",
     resume: ResumeOption = False,
 ) -> None:
-    """Reconstruct the example that comes with MGSR, a glossy knot under a flash, and say where the results lie."""
+    """Reconstruct the bundled example, a glossy knot under a flash, and print the paths of the results."""
     with refusals(resumes=True):
         scene = find_example()
     run(scene, out, preset=preset, device=device, resume=resume)

@@ -46,7 +46,7 @@ app.command()(bench)
 
 @app.command()
 def info(scene: SceneArgument, settings: SetOption = None) -> None:
-    """Say what SCENE holds, after every check that a run makes before training."""
+    """Make every check that a run makes before training, and print the contents of SCENE."""
     with refusals():
         config = make_config(overrides=settings or [])
         from mgsr.data.readers import load_scene
@@ -68,7 +68,7 @@ def train(
     resume: ResumeOption = False,
     settings: SetOption = None,
 ) -> None:
-    """Train the branches on SCENE and leave them in OUT as splats_2d.ply and splats_3d.ply."""
+    """Train the branches on SCENE, and write them to OUT as splats_2d.ply and splats_3d.ply."""
     with refusals(resumes=True):
         config = make_config(preset, method, seed, settings or [])
         from mgsr.pipeline.result_paths import LOG
@@ -91,7 +91,7 @@ def mesh(
     scale: ScaleOption = None,
     settings: SetOption = None,
 ) -> None:
-    """Extract mesh.ply and mesh.glb from the splats in OUT, with the preset's settings of the surface."""
+    """Extract mesh.ply and mesh.glb from the splats in OUT, with the preset's settings for the mesh."""
     with refusals():
         overrides = [*(settings or []), *output_overrides(texture, obj, up, scale)]
         config = make_config(preset, overrides=overrides)
@@ -109,7 +109,7 @@ def render(
     as_scene: AsSceneOption = None,
     settings: SetOption = None,
 ) -> None:
-    """Render the test views of SCENE from the splats in OUT to OUT/renders/test."""
+    """Render the test views of SCENE from the splats in OUT, and write them to OUT/renders/test."""
     with refusals():
         config = make_config(overrides=settings or [])
         from mgsr.pipeline.result_paths import RENDERS
@@ -123,7 +123,7 @@ def render(
 
 @app.command()
 def evaluate(scene: SceneArgument, out: OutOption, device: DeviceOption = "auto", settings: SetOption = None) -> None:
-    """Score the splats, and the mesh if it is there, of OUT against SCENE; JSON on the standard output."""
+    """Score the splats and any mesh in OUT against SCENE, and print the scores as JSON."""
     with refusals():
         config = make_config(overrides=settings or [])
         from mgsr.pipeline.single_steps import score_again

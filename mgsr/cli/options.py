@@ -23,7 +23,7 @@ SceneArgument = Annotated[
 ]
 OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder for the results.")]
 PresetOption = Annotated[str, typer.Option(help=f"The amount of work: {', '.join(PRESETS)}.", metavar="PRESET")]
-MethodOption = Annotated[str, typer.Option(help=f"Which branches: {', '.join(METHODS)}.", metavar="METHOD")]
+MethodOption = Annotated[str, typer.Option(help=f"The branches to train: {', '.join(METHODS)}.", metavar="METHOD")]
 DeviceOption = Annotated[
     str, typer.Option(help="The processor: auto, cpu or cuda (an NVIDIA card; see docs/cuda.md).", metavar="DEVICE")
 ]

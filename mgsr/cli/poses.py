@@ -23,7 +23,7 @@ CameraPerImageOption = Annotated[
 def poses(
     photos: PhotosArgument, out: SceneOption, seed: PosesSeedOption = 0, camera_per_image: CameraPerImageOption = False
 ) -> None:
-    """Find the cameras of PHOTOS with COLMAP, and make of both a SCENE that `mgsr run` takes."""
+    """Find the cameras of PHOTOS with COLMAP, and write both as a SCENE for `mgsr run`."""
     with refusals():
         from mgsr.data.find_poses import find_poses
 

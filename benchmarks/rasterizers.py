@@ -218,11 +218,11 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--ours", action="store_true", help="without gsplat")
-    parser.add_argument("--json", type=Path, help="a file to which each size's rows are added, a line of JSON each")
+    parser.add_argument("--json", type=Path, help="a file that receives each row as a line of JSON")
     args = parser.parse_args()
     if args.device == "cuda" and not torch.cuda.is_available():
-        raise SystemExit("no card is usable by torch; --device cpu times the processor")
-    without = "" if gsplat is not None and not args.ours else "; without gsplat, so no ratios"
+        raise SystemExit("torch finds no usable card; --device cpu times the CPU")
+    without = "" if gsplat is not None and not args.ours else "; without gsplat there are no ratios"
     print(f"\n{card(args.device)}, medians of {args.runs}{without}\n", *HEAD, sep="\n", flush=True)
     failures = dict[str, str]()
     for size in args.sizes:

@@ -205,5 +205,5 @@ def test_what_differing_exposures_cost(tmp_path: Path) -> None:
         read_csv(tmp_path / "exposures.csv", ExposureRow) == rows and read_csv(tmp_path / "none.csv", ExposureRow) == []
     )
     text = exposure_section(rows)
-    assert "cost 2.50 dB if nothing is done, and 0.10 dB as it is" in text and "deviates by 0.3." in text
+    assert "cost 2.50 dB without correction, and 0.10 dB with it" in text and "standard deviation 0.3." in text
     assert exposure_section([]) == ""

@@ -206,7 +206,7 @@ def test_damaged_bundler_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "list.txt").write_text("a.jpg\n")
     fails(tmp_path, "bundler", "list.txt: the list names 1 photographs, but bundle.out has 4 cameras")
     (tmp_path / "list.txt").unlink()
-    fails(tmp_path, "bundler", "bundle.out: expected one list of its 4 photographs, found 0", "put list.txt beside it")
+    fails(tmp_path, "bundler", "bundle.out: expected one list of its 4 photographs, found 0", "add list.txt beside it")
 
 
 # VisualSFM

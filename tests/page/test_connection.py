@@ -16,7 +16,7 @@ from tests.page.test_watch import submitted
 from tests.service.stack import Stack
 
 pytestmark = pytest.mark.slow
-GONE = "The service does not answer. Trying again"
+GONE = "The service does not answer. The page keeps trying"
 
 
 @pytest.fixture

@@ -51,5 +51,5 @@ def test_settings_that_can_not_be(text: str) -> None:
 
 def test_a_name_is_found_by_its_end() -> None:
     assert find_setting("surfels.densify.every") == "train.surfels.densify.every"
-    with pytest.raises(ValueError, match=r"ambiguous: say one of .*train\.surfels\.densify\.every"):
+    with pytest.raises(ValueError, match=r"ambiguous: use one of .*train\.surfels\.densify\.every"):
         find_setting("densify.every")

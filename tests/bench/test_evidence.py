@@ -146,7 +146,7 @@ def test_what_a_run_left_out_is_held_against_it_scene_by_scene() -> None:
 def test_runs_with_a_time_budget_say_whether_they_kept_it() -> None:
     runs = [sample_row("apple", f"time_budget={given}", seconds=taken) for given, taken in ((60, 57.0), (120, 130.0))]
     page = page_of([*sample_rows(), *runs])
-    assert "to 105% of it: 1 of 2 did." in page
+    assert "to 105% of the budget. 1 of 2 did." in page
     assert "| apple | 60 | 57 | 95% |" in page and "| apple | 120 | 130 | 108% |" in page
     assert "--time-budget" not in page_of(sample_rows())
 
@@ -176,9 +176,10 @@ def test_the_two_sets_and_the_gap_between_them(tmp_path: Path) -> None:
     write_csv(tmp_path / "sets.csv", SetRow, [apple, pear, fig], digits=5)
     assert read_csv(tmp_path / "sets.csv", SetRow) == [apple, pear, fig]
     text = sets_section([apple, pear, fig])
-    assert text.index("pear") < text.index("apple") < text.index("fig") and "| 2.50 (10.00) | 25% |" in text
-    assert "tuning set's 2 scenes: Chamfer 2.00, normal error 4.0 degrees. No scene is worse than its hull." in text
-    assert "Worse than the hull: fig." in text
+    assert text.index("| pear") < text.index("| apple") < text.index("| fig") and "| 2.50 (10.00) | 25% |" in text
+    assert "tuning set's 2 scenes have a mean Chamfer of 2.00 and a mean normal error of 4.0 degrees." in text
+    assert "No scene is worse than its hull." in text
+    assert "These scenes are worse than their hull: fig." in text
     assert "Chamfer is 38% of the hull's on the tuning set and 110% on the judging set." in text
     assert "gap" not in sets_section([apple]) and sets_section([]) == ""
 

@@ -1,8 +1,8 @@
 """`flash.npz`: a flash on the camera, and the surface that it lights, as a run found them before training.
 
 - `vertices` [V,3], `faces` [F,3]: the surface, in the user's frame.
-- `ambient` [V]: the light at each vertex that does not come from the lamp.
-- `proxy_vertex` [V]: the vertex from which each vertex takes position, normal and light. It is another one where
+- `besides` [V]: the ambient light at each vertex, which does not come from the lamp.
+- `like` [V]: the proxy vertex from which each vertex takes position, normal and light. It is another one where
   photographs do not confirm its own.
 - `lamp` [3]: how far the lamp is to the right of the lens and below it, in the user's unit, and the light that it sends
   to a surface that faces it at a distance of 1.
@@ -60,8 +60,8 @@ def load_flash(path: Path) -> Lighting:
     right = right and all(indices.min() >= 0 and indices.max() < count for indices in (faces, proxy_vertex))
     if not right or not all(np.isfinite(array).all() for array in (vertices, ambient, lamp, origin)):
         raise SceneError(
-            f"{path}: expected finite vertices [V,3], ambient [V], lamp [3] and origin [3], and indices faces [F,3] "
-            f"and proxy_vertex [V], got {vertices.shape}, {ambient.shape}, {lamp.shape}, {origin.shape}, "
+            f"{path}: expected finite vertices [V,3], besides [V], lamp [3] and origin [3], and indices faces [F,3] "
+            f"and like [V], got {vertices.shape}, {ambient.shape}, {lamp.shape}, {origin.shape}, "
             f"{faces.shape}, {proxy_vertex.shape}; train again, or remove it"
         )
     return Lighting(Mesh(vertices + origin, faces), ambient, proxy_vertex, *lamp.tolist())

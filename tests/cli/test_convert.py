@@ -83,8 +83,8 @@ def test_refusals_leave_nothing_behind(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("target", "message"),
     [
-        ("photos.ply", "photos.ply: is a folder, and a file is to be written"),
-        ("here.ply", "here.ply: is the folder that MGSR runs in"),
+        ("photos.ply", "photos.ply: expected a file to write, found a folder"),
+        ("here.ply", "here.ply: this folder is or contains the current folder"),
         (".", ".: "),
         ("..", "..: "),
         ("/", "/: "),

@@ -70,7 +70,7 @@ def test_single_steps_see_what_the_run_saw(scene: Path, done: Path, tmp_path: Pa
     assert json.loads(scored.output)["psnr_test"] == pytest.approx(report["psnr_test"], abs=0.02)
     (out / "exposures.json").write_text('{"train": {"r_0": [1, 2]}}')
     refused = CliRunner().invoke(app, ["mesh", str(scene), "-o", str(out), "--preset", "draft"])
-    assert refused.exit_code != 0 and "exposures.json: expected three factors for each photograph" in refused.output
+    assert refused.exit_code != 0 and "exposures.json: expected three factors per photograph" in refused.output
 
 
 @pytest.mark.slow

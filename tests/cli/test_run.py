@@ -229,7 +229,7 @@ def test_resume_takes_up_a_finished_training(scene: Path, done: Path, tmp_path: 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nowhere"], "nowhere: no such folder"),
+        (["nowhere"], "nowhere: this folder or file does not exist"),
         pytest.param(
             ["SCENE", "--device", "cuda"],
             "device cuda: the installed torch",

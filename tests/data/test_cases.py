@@ -71,7 +71,7 @@ CASES = [
         "07_principal_point_outside",
         "nerfstudio",
         24,
-        ("24 of 24 photographs taken for parts cut out of larger ones",),
+        ("24 of 24 photographs treated as crops of larger ones",),
         None,
         masked=True,
     ),

@@ -145,7 +145,7 @@ def test_errors_of_splats_name_the_file(tmp_path: Path) -> None:
     vertex = PlyData.read(str(tmp_path / "a.ply"))["vertex"].data
     more = append_fields(vertex, [f"f_rest_{i}" for i in range(45, 72)], [np.zeros(40, "<f4")] * 27, usemask=False)
     PlyData([PlyElement.describe(more, "vertex")]).write(str(tmp_path / "d4.ply"))
-    with pytest.raises(SceneError, match=r"d4\.ply: sh: expected .* \(degree 3 at most\), got \[40, 25, 3\]"):
+    with pytest.raises(SceneError, match=r"d4\.ply: sh: expected .* \(at most degree 3\), got \[40, 25, 3\]"):
         convert(tmp_path / "d4.ply", tmp_path / "b.spz")
 
 

@@ -68,7 +68,7 @@ def test_a_near_surface_names_no_origin(tmp_path: Path) -> None:
 @pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 broken"])
 def test_a_broken_file_is_named(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "flash.npz").write_bytes(content)
-    with pytest.raises(SceneError, match=r"flash\.npz: not a flash"):
+    with pytest.raises(SceneError, match=r"flash\.npz: the file holds no flash"):
         load_flash(tmp_path / "flash.npz")
 
 

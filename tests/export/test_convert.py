@@ -160,11 +160,11 @@ def test_refusals(tmp_path: Path) -> None:
     write_splats(tmp_path / "splats.ply", splats())
     write_ply(tmp_path / "mesh.ply", *mesh_and_colors(*ball()))
     with pytest.raises(
-        ConfigError, match=r"b\.obj: .*splats\.ply is read as splats, .* \.compressed\.ply, \.ply, \.spz"
+        ConfigError, match=r"b\.obj: .*splats\.ply is read as splats; .* \.compressed\.ply, \.ply, \.spz"
     ):
         convert(tmp_path / "splats.ply", tmp_path / "b.obj")
     for name in ("b.spz", "b.compressed.ply", "b"):
-        with pytest.raises(ConfigError, match=rf"{name}: .*mesh\.ply is read as a mesh, .* \.ply, \.glb, \.obj"):
+        with pytest.raises(ConfigError, match=rf"{name}: .*mesh\.ply is read as a mesh; .* \.ply, \.glb, \.obj"):
             convert(tmp_path / "mesh.ply", tmp_path / name)
     with pytest.raises(ConfigError, match=r"--up z: only \.glb files are turned, and .*b\.ply keeps the frame"):
         convert(tmp_path / "splats.ply", tmp_path / "b.ply", up=UpAxis.Z)

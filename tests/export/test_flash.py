@@ -87,7 +87,7 @@ def test_a_broken_file_is_named(tmp_path: Path, content: bytes) -> None:
 )
 def test_other_arrays_are_refused(tmp_path: Path, other: dict[str, np.ndarray]) -> None:
     np.savez(tmp_path / "flash.npz", **(arrays() | other))
-    with pytest.raises(SceneError, match=r"flash\.npz: expected vertices"):
+    with pytest.raises(SceneError, match=r"flash\.npz: expected finite vertices"):
         load_flash(tmp_path / "flash.npz")
 
 

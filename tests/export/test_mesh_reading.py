@@ -197,7 +197,7 @@ def test_vertices_without_a_place(tmp_path: Path, number: str) -> None:
         ("a.glb", b"", "expected binary glTF 2.0, got 0 bytes"),
         ("a.glb", b"glTF" + bytes(40), "expected binary glTF 2.0"),
         ("a.gltf", b"{}", "MGSR does not read \\.gltf; convert it"),
-        ("a.ply", b"", "not a readable mesh: .*; export it again"),
+        ("a.ply", b"", "this file is not a readable mesh: .*; export it again"),
         ("a.obj", b"v 0 0 0\n", "expected a mesh with faces, got none"),
     ],
 )
@@ -210,5 +210,5 @@ def test_files_that_are_no_meshes(tmp_path: Path, name: str, data: bytes, messag
 def test_a_cut_off_glb(tmp_path: Path) -> None:
     write_square(tmp_path / "a.glb", {})
     (tmp_path / "a.glb").write_bytes((tmp_path / "a.glb").read_bytes()[:-1])
-    with pytest.raises(MeshError, match=r"a\.glb: ends early"):
+    with pytest.raises(MeshError, match=r"a\.glb: the file is truncated"):
         load_mesh(tmp_path / "a.glb")

@@ -191,7 +191,7 @@ def packed_header(*fields: int) -> bytes:
     ("data", "message"),
     [
         pytest.param(b"hello", r"a\.spz: this file is not an SPZ file: .*write it again", id="not-gzip"),
-        pytest.param(gzip.compress(b"short"), r"a\.spz: not an SPZ file", id="shorter-than-a-header"),
+        pytest.param(gzip.compress(b"short"), r"a\.spz: this file is not an SPZ file", id="shorter-than-a-header"),
         pytest.param(
             packed_header(0x5053474E, 9, 1, 0, 12, 0, 0), "expected SPZ of version 2 or 3 .*got version 9", id="version"
         ),

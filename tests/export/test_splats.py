@@ -76,7 +76,7 @@ def test_the_reflected_half_is_appended(tmp_path: Path) -> None:
     assert (vertex["nz"] == 0).all()
     kept = PlyElement.describe(drop_fields(vertex.data, "refl_weight"), "vertex")
     PlyData([kept]).write(str(tmp_path / "half.ply"))
-    with pytest.raises(SceneError, match="it has no refl_weight"):
+    with pytest.raises(SceneError, match="the file lacks refl_weight"):
         load_splats(tmp_path / "half.ply")
 
 

@@ -241,15 +241,16 @@ def report(args: argparse.Namespace) -> str:
         [
             "# Instructions of the rasterizers' CUDA kernels",
             "",
-            f"By `benchmarks/count_instructions.py` for {args.arch}; what is counted, and how, stands there. Millions "
-            f"of warp instructions and of forward's steps for one view of {count} splats on {size} pixels:",
+            f"`benchmarks/count_instructions.py` made this page for {args.arch} and describes what it counts, and "
+            "how. Figures are millions of warp instructions and of steps of the forward pass, for one view of "
+            f"{count} splats on {size} pixels:",
             "",
             *totals(kernels, gsplat, scene),
             "",
-            "By kernel, in instructions of a warp:",
+            "The next table has instructions of a warp, by kernel:",
             "",
             *table(kernels | gsplat, args.arch),
-            "" if gsplat else f"\n{GSPLAT} could not be compiled here: no rows and no ratios of its own",
+            "" if gsplat else f"\n{GSPLAT} could not be compiled here, so it has no rows and no ratios",
         ]
     )
 
@@ -257,9 +258,9 @@ def report(args: argparse.Namespace) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--arch", default="sm_90", choices=[f"sm_{card}" for card in CARDS])
-    parser.add_argument("--scene", type=Path, help="splats and a view, as shared/data/raster has them")
+    parser.add_argument("--scene", type=Path, help="a folder of splats and a view, as in shared/data/raster")
     parser.add_argument("--gsplat", type=Path, help="the folder that holds gsplat's source, gsplat/")
-    parser.add_argument("--keep", type=Path, help="a Markdown file for the results")
+    parser.add_argument("--keep", type=Path, help="the Markdown file to write")
     for tool in ("nvdisasm", "cuobjdump", "nvcc"):
         parser.add_argument(f"--{tool}", default=shutil.which(tool) or tool)
     args = parser.parse_args()

@@ -44,15 +44,17 @@ class Parts:
 
 
 WITHOUT: dict[str, Callable[[Parts], Parts]] = {
-    "the start where it is likelier": lambda parts: replace(parts, start=None),
-    "the masks' outlines": lambda parts: replace(parts, config=replace(parts.config, silhouette_smoothing=None)),
-    "shading and parallax": lambda parts: replace(parts, config=replace(parts.config, max_light_residual=None)),
-    "parallax": lambda parts: replace(parts, config=replace(parts.config, photometric_reach=None)),
-    "opening where photographs differ": lambda parts: replace(
+    "the first surface where it fits better": lambda parts: replace(parts, start=None),
+    "silhouette correction": lambda parts: replace(parts, config=replace(parts.config, silhouette_smoothing=None)),
+    "shape from shading and photometric refinement": lambda parts: replace(
+        parts, config=replace(parts.config, max_light_residual=None)
+    ),
+    "photometric refinement": lambda parts: replace(parts, config=replace(parts.config, photometric_reach=None)),
+    "removal of contradicted patches": lambda parts: replace(
         parts, config=replace(parts.config, photometric_residual=None)
     ),
-    "smoothing of waves": lambda parts: replace(parts, config=replace(parts.config, regression_angle=None)),
-    "smoothing of facets": lambda parts: replace(parts, config=replace(parts.config, bilateral_angle=None)),
+    "local regression of normals": lambda parts: replace(parts, config=replace(parts.config, regression_angle=None)),
+    "bilateral normal filtering": lambda parts: replace(parts, config=replace(parts.config, bilateral_angle=None)),
 }
 
 
@@ -63,7 +65,7 @@ def main() -> None:
         if scene.set != SceneSet.TUNING or (given.scenes and scene.name not in given.scenes):
             continue
         if not (run / REPORT).is_file():
-            print(f"{scene.name}: no finished run in {run}", flush=True)
+            print(f"{scene.name}: {run} has no finished run", flush=True)
             continue
         found = measured(find(scene, given.rendered), run)
         replace_rows(given.out, PartRow, found)

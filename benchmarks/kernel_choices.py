@@ -83,7 +83,7 @@ def changed_sources(choice: Choice, folder: Path) -> None:
         file = folder / change.file
         text = file.read_text()
         if text.count(change.old) != 1:
-            raise SystemExit(f"{change.file}: expected {change.old!r} once, got it {text.count(change.old)} times")
+            raise SystemExit(f"{change.file}: expected {change.old!r} once, found it {text.count(change.old)} times")
         file.write_text(text.replace(change.old, change.new))
 
 
@@ -106,9 +106,9 @@ def measure(choice: str, built: Path, scene: Path, runs: int, rows: Path) -> Non
         file = next((built / "mgsr" / "native").glob(f"{name}.*.so"))
         spec = importlib.util.spec_from_file_location(f"mgsr.native.{name}", file)
         if spec is None or spec.loader is None:
-            raise SystemExit(f"{file}: can't be loaded")
+            raise SystemExit(f"{file} cannot be loaded")
         if f"mgsr.native.{name}" in sys.modules:
-            raise SystemExit(f"{name} is loaded already, so {file} would not be measured")
+            raise SystemExit(f"{name} is already loaded, so {file} would not be measured")
         module = importlib.util.module_from_spec(spec)
         sys.modules[f"mgsr.native.{name}"] = module
         spec.loader.exec_module(module)
@@ -135,10 +135,10 @@ def merged(rows: Sequence[KernelRow]) -> KernelRow:
 
 def main(arguments: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, help="the raster scenes")
+    parser.add_argument("folder", type=Path, help="the folder of the raster scenes")
     parser.add_argument("--scene", default="s20k_256")
-    parser.add_argument("--rounds", type=int, default=7, help="processes for each choice, in turn")
-    parser.add_argument("--runs", type=int, default=5, help="in each process")
+    parser.add_argument("--rounds", type=int, default=7, help="the number of processes for each choice")
+    parser.add_argument("--runs", type=int, default=5, help="the number of runs in each process")
     parser.add_argument("--keep", type=Path, help="a results folder")
     args = parser.parse_args(arguments)
     scene = args.folder / f"{args.scene}.npz"

@@ -398,13 +398,13 @@ def keep(file: Path, rows: list[KernelRow]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, help="the raster scenes")
+    parser.add_argument("folder", type=Path, help="the folder of the raster scenes")
     parser.add_argument("--scene", default="s20k_256")
-    parser.add_argument("--size", type=int, default=256, help="pixels a side of the images")
+    parser.add_argument("--size", type=int, default=256, help="the side of the images, in pixels")
     parser.add_argument("--splats", type=int, default=20000)
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--threads", type=int, default=0, help="0: all processors")
-    parser.add_argument("--note", default="", help="what else is to be known of the machine")
+    parser.add_argument("--note", default="", help="a note about the machine")
     parser.add_argument("--keep", type=Path, help="a results folder")
     args = parser.parse_args()
     torch.manual_seed(0)

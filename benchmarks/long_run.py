@@ -21,9 +21,9 @@ from tests.stability.long_training import Look, growth, long_training
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--iterations", type=int, default=50_000)
-    parser.add_argument("--side", type=int, default=32, help="pixels a side of the views")
+    parser.add_argument("--side", type=int, default=32, help="the side of the views, in pixels")
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--keep", type=Path, help="a table of the looks")
+    parser.add_argument("--keep", type=Path, help="the table to write")
     args = parser.parse_args()
     runtime.set_threads(args.threads)
     started_at, names = time.process_time(), [field.name for field in fields(Look)]

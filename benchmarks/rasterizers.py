@@ -2,13 +2,15 @@
 
     python -m benchmarks.rasterizers [--sizes 100k/800 20k/256 500k/1080p 1M/1080p] [--runs 20] [--ours] [--json FILE]
 
-Each row is one size and mode: median milliseconds of forward, of backward and of both through autograd, by the card's
-own clock, with the modes of one size alternating; and the memory at its highest. `3d` and `2d` send a gradient to the
-colour alone, and so do `gsplat 3d` and `gsplat 2d`; `dual` is the 3D branch's two opacities with weight and depth in
-one pass, and `gsplat 3d twice` what two passes of gsplat need for the two colours. `ratio` is the time of both passes
-over that of the gsplat row of the same kind; `--ours` leaves gsplat out. The rows of a size are printed, and written,
-when it is done; a mode that fails, such as one of gsplat's, leaves the others alone. `--device cpu` times the kernels
-of the processor instead.
+Each row is one size and mode. It has the median milliseconds of forward, of backward and of both through autograd, by
+the card's own clock, and the peak memory. The modes of one size alternate.
+
+`3d` and `2d` send a gradient to the colour alone, and so do `gsplat 3d` and `gsplat 2d`. `dual` is the 3D branch's two
+opacities with weight and depth in one pass. `gsplat 3d twice` is what two passes of gsplat need for the two colours.
+`ratio` is the time of both passes over that of the gsplat row of the same kind.
+
+`--ours` leaves gsplat out. `--device cpu` times the kernels of the CPU. The rows of a size are printed and written when
+all its modes are done. A mode that fails leaves the others alone.
 """
 
 from __future__ import annotations
@@ -216,11 +218,11 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--ours", action="store_true", help="without gsplat")
-    parser.add_argument("--json", type=Path, help="a file to which each size's rows are added, a line of JSON each")
+    parser.add_argument("--json", type=Path, help="a file that receives each row as a line of JSON")
     args = parser.parse_args()
     if args.device == "cuda" and not torch.cuda.is_available():
-        raise SystemExit("no card is usable by torch; --device cpu times the processor")
-    without = "" if gsplat is not None and not args.ours else "; without gsplat, so no ratios"
+        raise SystemExit("torch finds no usable card; --device cpu times the CPU")
+    without = "" if gsplat is not None and not args.ours else "; without gsplat there are no ratios"
     print(f"\n{card(args.device)}, medians of {args.runs}{without}\n", *HEAD, sep="\n", flush=True)
     failures = dict[str, str]()
     for size in args.sizes:

@@ -3,12 +3,18 @@
     python benchmarks/reading.py [--count 100] [--width 1633] [--height 1225] [--runs 3] [--suffix .jpg] [FOLDER]
 
 Without FOLDER, photographs of that size are made in a temporary folder: smooth with some noise, as cameras' files are.
-Each row is a way to read: `decode` is OpenImageIO alone, which may use the same memory again and again; `kept` holds
-all images, as a reader must; `remapped` is decoding and OpenCV's remapping of bytes and nothing else, on maps that are
-made already, by `linear` interpolation or `cubic`; `views` is the reader's, as they are; `reduced` to 1,000 pixels;
-`lens` with a distortion undone, and `lenses` with one of its own for each photograph, as COLMAP finds them unless it is
-told that one camera took all; `reduced, lens` both. `cpu` is processor time, which other programs on the machine
-disturb less; the ratios are to `decode`, of the medians of runs that alternate.
+Each row is a way to read:
+
+- `decode`: OpenImageIO alone, which may reuse the same memory.
+- `kept`: the same, but all images stay in memory, as a reader must keep them.
+- `remapped`: decoding and OpenCV's remapping of bytes on prepared maps, by `linear` or `cubic` interpolation.
+- `views`: MGSR's reader without reduction or undistortion.
+- `reduced`: MGSR's reader, with photographs reduced to 1,000 pixels.
+- `lens`, `lenses`: MGSR's reader with undistortion, by one lens or by one lens per photograph.
+- `reduced, lens`: both reduction and undistortion.
+
+`cpu` is processor time, which other programs on the machine disturb less. The ratios are to `decode`, of the medians of
+alternating runs.
 """
 
 from __future__ import annotations

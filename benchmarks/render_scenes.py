@@ -45,7 +45,7 @@ def main() -> None:
     for number, scene in enumerate(scenes, 1):
         started = time.monotonic()
         made = render(scene, given.folder, given.shared, given.python)
-        done = f"rendered in {time.monotonic() - started:.0f} s" if made else "is there already"
+        done = f"rendered in {time.monotonic() - started:.0f} s" if made else "exists already"
         print(f"[{number}/{len(scenes)}] {scene.set} {scene.name}: {done}", flush=True)
 
 
@@ -55,7 +55,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--scenes", nargs="+", choices=[scene.name for scene in RENDERED], metavar="NAME")
     parser.add_argument("--set", type=SceneSet, choices=list(SceneSet))
     parser.add_argument("--python", default=sys.executable)
-    parser.add_argument("--shared", type=Path, default=SHARED, help="the folder with data/meshes and tools")
+    parser.add_argument("--shared", type=Path, default=SHARED, help="the folder that has data/meshes and tools")
     return parser.parse_args()
 
 
@@ -72,7 +72,9 @@ def render(scene: BenchmarkScene, folder: Path, shared: Path, python: str) -> bo
     if (out / LAST_WRITTEN).is_file():
         return False
     if out.exists():
-        raise RenderError(f"{out}: expected no folder or a complete scene, got one without {LAST_WRITTEN}; remove it")
+        raise RenderError(
+            f"{out}: expected no folder or a complete scene, got a folder without {LAST_WRITTEN}; remove it"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".rendering_", dir=folder) as workplace:
         work = Path(workplace)

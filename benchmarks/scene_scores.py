@@ -61,7 +61,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--scenes", nargs="*", default=[])
     parser.add_argument("--preset", default="standard")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--commit", help="of the program that made the finished runs")
+    parser.add_argument("--commit", help="the commit of the program that made the finished runs")
     return parser.parse_args()
 
 

@@ -121,7 +121,7 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", default=list(SCENES), metavar="scene", help=", ".join(SCENES))
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--keep", type=Path, help="a file with the table, as in benchmarks/results")
+    parser.add_argument("--keep", type=Path, help="the file for the table, as in benchmarks/results")
     args = parser.parse_args()
     runtime.set_threads(args.threads)
     print(line(HEADER), line(["---"] * len(HEADER)), sep="\n")

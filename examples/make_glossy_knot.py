@@ -330,7 +330,7 @@ def make(out: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "glossy_knot", help="folder to write")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "glossy_knot", help="the folder to write")
     arguments = parser.parse_args()
     choose_variant()
     make(arguments.out)

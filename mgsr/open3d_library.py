@@ -24,7 +24,7 @@ def load_open3d() -> ModuleType:
         import open3d
     except ImportError as error:
         raise MgsrError(
-            f"Open3D does not load ({error}); on Debian: apt-get install libgl1 libegl1 libx11-6 libusb-1.0-0"
+            f"Open3D cannot be loaded ({error}); on Debian, run apt-get install libgl1 libegl1 libx11-6 libusb-1.0-0"
         ) from error
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     return open3d
@@ -37,7 +37,7 @@ def _leave_out_plots() -> None:
     """
     name = "open3d.visualization.draw_plotly"
     if name not in sys.modules:
-        plots = ModuleType(name, "Left out: see mgsr/open3d_library.py.")
+        plots = ModuleType(name, "This module is replaced; see mgsr/open3d_library.py.")
         for unused in ("get_plotly_fig", "draw_plotly", "draw_plotly_server"):
             setattr(plots, unused, None)
         sys.modules[name] = plots

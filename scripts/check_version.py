@@ -23,7 +23,7 @@ def disagreement(tag: str) -> str | None:
     """Return what is wrong with a tag, or None."""
     version = package_version()
     if tag != f"v{version}":
-        return f"the tag is {tag}, mgsr/__init__.py says {version}"
+        return f"the tag is {tag}, but mgsr/__init__.py has {version}"
     if f"## {version}" not in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").splitlines():
         return f"CHANGELOG.md has no heading '## {version}'"
     return None

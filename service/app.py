@@ -46,7 +46,7 @@ def create_app(settings: Settings) -> FastAPI:
     app = FastAPI(
         title="MGSR",
         version=LIBRARY["version"],
-        description="Photographs in, surface mesh and clean renders out.",
+        description="Turn photographs into a surface mesh and clean renders.",
         lifespan=_lifespan,
     )
     app.state.parts = parts
@@ -101,5 +101,5 @@ async def _recover(parts: Parts) -> None:
             await run_in_threadpool(parts.keys.needed)
             await run_in_threadpool(recovery.look)
         except (RedisError, StoreError) as error:
-            log.warning("recovery: trying again: %s", error)
+            log.warning("recovery failed and will be retried: %s", error)
         await asyncio.sleep(PERIOD)

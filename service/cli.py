@@ -17,8 +17,8 @@ from service.contract.errors import SetupError, refusals
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 app.add_typer(keys, name="keys")
 
-HostOption = Annotated[str, typer.Option(help="The address to listen at.")]
-PortOption = Annotated[int, typer.Option(help="The port to listen at.", min=0, max=65535)]
+HostOption = Annotated[str, typer.Option(help="The address to listen on.")]
+PortOption = Annotated[int, typer.Option(help="The port to listen on.", min=0, max=65535)]
 
 
 @app.callback(invoke_without_command=True)
@@ -41,8 +41,8 @@ def serve_api(host: str, port: int) -> None:
     app = create_app(Settings())
     if not app.state.parts.keys.needed() and not is_loopback(host):
         raise SetupError(
-            f"--host {host}: without keys the service listens to this machine alone (127.0.0.1); make one with "
-            "`mgsr keys create NAME` first"
+            f"--host {host}: a service without keys listens only on 127.0.0.1; create a key with `mgsr keys create "
+            "NAME` first"
         )
     uvicorn.run(
         app,

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 DEFAULT_SERVER = "http://127.0.0.1:8000"
 
-HostOption = Annotated[str, typer.Option(help="The address to listen at.")]
-PortOption = Annotated[int, typer.Option(help="The port to listen at.", min=1, max=65535)]
+HostOption = Annotated[str, typer.Option(help="The address to listen on.")]
+PortOption = Annotated[int, typer.Option(help="The port to listen on.", min=1, max=65535)]
 ServerOption = Annotated[str, typer.Option(help="The service's address.", envvar="MGSR_SERVER", metavar="URL")]
 
-keys = typer.Typer(no_args_is_help=True, help="Bearer keys of the service whose store MGSR_STORE names.")
+keys = typer.Typer(no_args_is_help=True, help="Manage the bearer keys of the service. MGSR_STORE names its store.")
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -33,7 +33,7 @@ def add_commands(app: typer.Typer) -> None:
 
 
 def serve(host: HostOption = "127.0.0.1", port: PortOption = 8000) -> None:
-    """Start everything on this machine: queue, a worker and the API. Ctrl-C stops it; jobs go on at the next start."""
+    """Start queue, worker and API on this machine. Ctrl-C stops them; jobs continue at the next start."""
     with refusals():
         from service.contract.settings import Settings
         from service.serve import serve as serve_all
@@ -43,27 +43,29 @@ def serve(host: HostOption = "127.0.0.1", port: PortOption = 8000) -> None:
 
 def submit(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="A folder or archive of photographs, or a video.")],
-    wait: Annotated[
-        bool, typer.Option("--wait", help="Follow the job, and fetch its results when it is done.")
-    ] = False,
+    wait: Annotated[bool, typer.Option("--wait", help="Follow the job, and fetch its results at the end.")] = False,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="OUT", help="Where the results go; out/SCENE by default.")
+        Path | None,
+        typer.Option("--out", "-o", metavar="OUT", help="The folder for the results. The default is out/SCENE."),
     ] = None,
-    preset: Annotated[str, typer.Option(help="draft, standard or high.")] = "standard",
-    method: Annotated[str, typer.Option(help="mgsr, 2dgs or 3dgs.")] = "mgsr",
+    preset: Annotated[str, typer.Option(help="The amount of work: draft, standard or high.")] = "standard",
+    method: Annotated[str, typer.Option(help="The branches to train: mgsr, 2dgs or 3dgs.")] = "mgsr",
     seed: Annotated[int, typer.Option(min=0)] = 0,
     settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated.")
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting. Repeat it for several.")
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Only check the photographs and estimate what each preset takes; waits.")
     ] = False,
     webhook: Annotated[
-        str | None, typer.Option(metavar="URL", help="Told of the job's end; signed as Standard Webhooks.")
+        str | None,
+        typer.Option(
+            metavar="URL", help="The address that is called when the job ends, signed as in Standard Webhooks."
+        ),
     ] = None,
     server: ServerOption = DEFAULT_SERVER,
 ) -> None:
-    """Send SCENE to a service. Its key, if it wants one, is taken from MGSR_KEY."""
+    """Send SCENE to a service. MGSR_KEY holds the key, if the service needs one."""
     with refusals():
         from service.client.submit import submit_scene
         from service.contract.options import JobOptions, parse_setting
@@ -110,13 +112,14 @@ def rerun(
 
 
 def fetch(
-    job: Annotated[str, typer.Argument(metavar="ID", help="The job's id, as `mgsr submit` said it.")],
+    job: Annotated[str, typer.Argument(metavar="ID", help="The job's id, as printed by `mgsr submit`.")],
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="OUT", help="Where the results go; out/ID by default.")
+        Path | None,
+        typer.Option("--out", "-o", metavar="OUT", help="The folder for the results. The default is out/ID."),
     ] = None,
     server: ServerOption = DEFAULT_SERVER,
 ) -> None:
-    """Follow a job that was sent before, and fetch its results when it is done."""
+    """Follow a submitted job, and fetch its results at the end."""
     with refusals():
         from service.client.submit import fetch_job
 
@@ -124,17 +127,19 @@ def fetch(
 
 
 @keys.command("create")
-def create_key(name: Annotated[str, typer.Argument(help="Whose key it is.")]) -> None:
-    """Make a key and show it, once. From the first key on the service answers only those who show one."""
+def create_key(name: Annotated[str, typer.Argument(help="The name of the key's owner.")]) -> None:
+    """Create a key and show it once. With at least one key, the service answers only requests with a key."""
     with refusals():
         token, key = _keys().create(name)
         print(token)
-        typer.echo(f"key {key.id} of {name}; keep it, it is not shown again (Authorization: Bearer ...)", err=True)
+        typer.echo(
+            f"key {key.id} of {name}; keep it, because it is not shown again (Authorization: Bearer ...)", err=True
+        )
 
 
 @keys.command("list")
 def list_keys() -> None:
-    """List the keys' ids, names and dates."""
+    """List ids, names and dates of the keys."""
     with refusals():
         for key in _keys().all():
             print(f"{key.id}  {key.created:%Y-%m-%d}  {key.name}")
@@ -142,10 +147,10 @@ def list_keys() -> None:
 
 @keys.command("revoke")
 def revoke_key(key_id: Annotated[str, typer.Argument(metavar="ID")]) -> None:
-    """Take a key back; services notice within seconds. Its jobs stay in the store."""
+    """Revoke a key; services notice within seconds. Its jobs stay in the store."""
     with refusals():
         if not _keys().revoke(key_id):
-            raise SetupError(f"there is no key {key_id!r}; `mgsr keys list` shows them")
+            raise SetupError(f"key {key_id!r} does not exist; `mgsr keys list` shows all keys")
 
 
 def _keys() -> Keys:

@@ -28,12 +28,12 @@ class LocalGuard:
             headers = Headers(scope=scope)
             host, origin = _name(headers.get("host", "")), headers.get("origin")
             if host not in self._hosts:
-                await _refuse("host_refused", f"this service has no keys and answers only to {_list(self._hosts)}")(
+                await _refuse("host_refused", f"a service without keys answers only requests to {_list(self._hosts)}")(
                     scope, receive, send
                 )
                 return
             if origin is not None and (_name(urlsplit(origin).netloc) not in self._hosts):
-                await _refuse("origin_refused", "pages of other sites may not use a service without keys")(
+                await _refuse("origin_refused", "a service without keys refuses requests from pages of other sites")(
                     scope, receive, send
                 )
                 return

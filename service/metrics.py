@@ -26,7 +26,7 @@ class Metrics:
             "mgsr_http_requests", "Requests answered.", ["method", "route", "status"], registry=self._registry
         )
         self.seconds = Histogram(
-            "mgsr_http_seconds", "Time to the first byte of the answer.", ["route"], registry=self._registry
+            "mgsr_http_seconds", "Seconds to the first byte of the answer.", ["route"], registry=self._registry
         )
 
     def render(self) -> tuple[bytes, str]:
@@ -68,11 +68,11 @@ class _JobCollector:
         try:
             workers, waiting = self._queue.workers(), self._queue.lengths()
         except RedisError:
-            yield GaugeMetricFamily("mgsr_queue_up", "Whether the queue's server answers.", value=0)
+            yield GaugeMetricFamily("mgsr_queue_up", "Whether the server of the queue answers.", value=0)
         else:
-            yield GaugeMetricFamily("mgsr_queue_up", "Whether the queue's server answers.", value=1)
-            yield GaugeMetricFamily("mgsr_workers", "Workers that listen.", value=workers)
-            lengths = GaugeMetricFamily("mgsr_jobs_queued", "Jobs that wait, by queue.", labels=["queue"])
+            yield GaugeMetricFamily("mgsr_queue_up", "Whether the server of the queue answers.", value=1)
+            yield GaugeMetricFamily("mgsr_workers", "Number of workers that listen.", value=workers)
+            lengths = GaugeMetricFamily("mgsr_jobs_queued", "Number of waiting jobs, by queue.", labels=["queue"])
             for name, length in waiting.items():
                 lengths.add_metric([name], length)
             yield lengths
@@ -82,4 +82,4 @@ class _JobCollector:
             yield GaugeMetricFamily("mgsr_store_up", "Whether the store answers.", value=0)
         else:
             yield GaugeMetricFamily("mgsr_store_up", "Whether the store answers.", value=1)
-            yield GaugeMetricFamily("mgsr_jobs_open", "Jobs queued or running.", value=opened)
+            yield GaugeMetricFamily("mgsr_jobs_open", "Number of jobs that are queued or running.", value=opened)

@@ -45,7 +45,9 @@ async def _parts(request: Request) -> Parts:
 
 
 PartsDep = Annotated[Parts, Depends(_parts)]
-_bearer = HTTPBearer(auto_error=False, description="A key made by `mgsr keys create`; none where there are no keys.")
+_bearer = HTTPBearer(
+    auto_error=False, description="A key created with `mgsr keys create`. A service without keys needs none."
+)
 
 
 async def _owner(parts: PartsDep, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]) -> str:
@@ -60,7 +62,7 @@ async def _owner(parts: PartsDep, credentials: Annotated[HTTPAuthorizationCreden
         raise Problem(
             401,
             "key_unknown",
-            "expected the header `Authorization: Bearer KEY` with a key made by `mgsr keys create`",
+            "expected the header `Authorization: Bearer KEY` with a key created by `mgsr keys create`",
             {"WWW-Authenticate": "Bearer"},
         )
     return key.id
@@ -73,7 +75,7 @@ async def _own_job(job_id: str, owner: OwnerDep, parts: PartsDep) -> Snapshot:
     snapshot = await parts.snapshots.get(job_id)
     # Another owner's job is answered like none at all: its id is nobody else's business.
     if snapshot is None or snapshot.owner != owner:
-        raise Problem(404, "job_unknown", f"there is no job {job_id[:64]!r} of yours; GET /jobs lists them")
+        raise Problem(404, "job_unknown", f"you have no job {job_id[:64]!r}; GET /jobs lists your jobs")
     return snapshot
 
 

@@ -29,7 +29,7 @@ class ProblemDetails(BaseModel):
                 "title": "Not Found",
                 "status": 404,
                 "code": "job_unknown",
-                "detail": "there is no job 5f0c; look at GET /jobs",
+                "detail": "you have no job 5f0c; GET /jobs lists your jobs",
             }
         },
     )
@@ -37,8 +37,8 @@ class ProblemDetails(BaseModel):
     type: str
     title: str
     status: int
-    code: str = Field(description="Stable; for programs.")
-    detail: str = Field(description="For the person: what was expected, what came, what to do.")
+    code: str = Field(description="A stable code for programs.")
+    detail: str = Field(description="A sentence for people: what was expected, what came and what to do.")
 
 
 class Problem(Exception):
@@ -98,16 +98,16 @@ async def _invalid(request: Request, error: Exception) -> Response:
 
 
 async def _store(request: Request, error: Exception) -> Response:
-    return _unavailable("store_unavailable", f"the artifact store doesn't answer; try again soon ({error})")
+    return _unavailable("store_unavailable", f"the artifact store does not answer; try again soon ({error})")
 
 
 async def _redis(request: Request, error: Exception) -> Response:
-    return _unavailable("queue_unavailable", f"the queue's server doesn't answer; try again soon ({error})")
+    return _unavailable("queue_unavailable", f"the server of the queue does not answer; try again soon ({error})")
 
 
 async def _gone(request: Request, error: Exception) -> Response:
     """Return a problem that nobody reads, as the client has hung up."""
-    return Problem(400, "upload_cut", "the connection ended before the request did").response()
+    return Problem(400, "upload_cut", "the connection closed before the request was complete").response()
 
 
 def _unavailable(code: str, detail: str) -> Response:

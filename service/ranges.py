@@ -26,6 +26,9 @@ def parse_range(text: str | None, size: int) -> tuple[int, int] | None:
         start, end = max(0, size - int(found[2])), size
     if start >= end:
         raise Problem(
-            416, "range_outside", f"the file has {size} bytes; none in {text!r}", {"Content-Range": f"bytes */{size}"}
+            416,
+            "range_outside",
+            f"the file has {size} bytes, none of them in {text!r}",
+            {"Content-Range": f"bytes */{size}"},
         )
     return start, end

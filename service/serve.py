@@ -30,7 +30,7 @@ def serve(settings: Settings, host: str, port: int) -> None:
         try:
             _run(children, f"http://{host}:{port}")
         except Stop:
-            print("stopping; a job that runs writes a checkpoint and goes on at the next start", file=sys.stderr)
+            print("Stopping. A running job writes a checkpoint and continues at the next start.", file=sys.stderr)
         finally:
             for child in reversed(children):
                 try:
@@ -62,7 +62,7 @@ def _run(children: list[Child], address: str) -> None:
         if child.name == "queue server":
             _wait_for_queue(children)
     _wait_for_api(children, address)
-    print(f"MGSR listens at {address} (documentation: {address}/docs); Ctrl-C stops everything", flush=True)
+    print(f"MGSR listens on {address} (API documentation: {address}/docs). Ctrl-C stops everything.", flush=True)
     keep_alive(children)
 
 
@@ -87,7 +87,7 @@ def _tries(child: Child) -> Iterator[None]:
     while time.monotonic() < ends:
         assert child.process is not None
         if child.process.poll() is not None:
-            raise SetupError(f"the {child.name} did not start; see above for why")
+            raise SetupError(f"the {child.name} did not start; its output above says why")
         yield
         time.sleep(0.05)
     raise SetupError(f"the {child.name} did not answer within {READY_SECONDS:g} s")
@@ -100,7 +100,9 @@ def _check_port(host: str, port: int) -> None:
         try:
             probe.bind((host, port))
         except OSError as error:
-            raise SetupError(f"can't listen at {host}, port {port}: {error.strerror}; choose another --port") from error
+            raise SetupError(
+                f"cannot listen on {host}, port {port}: {error.strerror}; choose another --port"
+            ) from error
 
 
 @contextmanager
@@ -114,5 +116,7 @@ def _alone(home: Path) -> Iterator[None]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            raise SetupError(f"`mgsr serve` runs on {home} already; stop it, or set MGSR_HOME") from error
+            raise SetupError(
+                f"`mgsr serve` already runs with {home}; stop it, or set MGSR_HOME to another folder"
+            ) from error
         yield

@@ -111,12 +111,14 @@ class _Sink:
         if not head:
             raise Problem(422, "archive_missing", f"the archive is empty; expected {ARCHIVES}")
         if not (head.startswith(_MAGIC) or head[257:262] == b"ustar" or head[4:8] in _MOVIES):
-            raise Problem(422, "archive_unsupported", f"expected {ARCHIVES}; this begins like none of them")
+            raise Problem(422, "archive_unsupported", f"expected {ARCHIVES}, got other content")
 
 
 def too_large(limit: int) -> Problem:
     """Return the problem for an upload of more than `limit` bytes."""
-    return Problem(413, "archive_too_large", f"at most {limit} bytes are taken; use smaller or fewer images")
+    return Problem(
+        413, "archive_too_large", f"the upload exceeds the limit of {limit} bytes; use smaller or fewer images"
+    )
 
 
 async def _timed(stream: AsyncIterator[bytes], settings: Settings) -> AsyncIterator[bytes]:
@@ -128,22 +130,22 @@ async def _timed(stream: AsyncIterator[bytes], settings: Settings) -> AsyncItera
         except StopAsyncIteration:
             return
         except TimeoutError:
-            raise _too_slow(f"nothing came for {settings.upload_idle:g} s") from None
+            raise _too_slow(f"no data arrived for {settings.upload_idle:g} s") from None
         count += len(chunk)
         spent = time.monotonic() - started_at
         if spent > settings.upload_grace and count < spent * settings.upload_rate:
-            raise _too_slow(f"{count / spent:.0f} bytes a second came; at least {settings.upload_rate} are expected")
+            raise _too_slow(f"{count / spent:.0f} bytes per second arrived, expected at least {settings.upload_rate}")
         yield chunk
 
 
 def _too_slow(what: str) -> Problem:
-    return Problem(408, "upload_too_slow", f"the upload was given up: {what}; try again", {"Connection": "close"})
+    return Problem(408, "upload_too_slow", f"the upload was stopped: {what}; try again", {"Connection": "close"})
 
 
 async def _multipart(chunks: AsyncIterator[bytes], boundary: bytes | None, sink: _Sink, writer: Any) -> str | None:
     """Pass the field `archive` to the sink, and return the field `options`."""
     if not boundary:
-        raise Problem(400, "multipart_malformed", "the header Content-Type names no boundary")
+        raise Problem(400, "multipart_malformed", "expected a boundary in the header Content-Type, got none")
     fields = _Fields(sink)
     try:
         parser = MultipartParser(boundary, fields.callbacks())
@@ -152,7 +154,7 @@ async def _multipart(chunks: AsyncIterator[bytes], boundary: bytes | None, sink:
             await sink.flush(writer)
         parser.finalize()
     except MultipartParseError as error:
-        raise Problem(400, "multipart_malformed", f"the multipart body can't be read: {error}") from error
+        raise Problem(400, "multipart_malformed", f"the multipart body cannot be read: {error}") from error
     if not fields.ended:
         raise Problem(400, "multipart_malformed", "the multipart body ends before its last boundary")
     if not fields.archive_seen:
@@ -202,7 +204,7 @@ class _Fields:
         if (self._field == b"archive" and self.archive_seen) or (
             self._field == b"options" and self.options is not None
         ):
-            raise Problem(400, "multipart_malformed", f"the field {self._field.decode()!r} comes twice")
+            raise Problem(400, "multipart_malformed", f"the field {self._field.decode()!r} appears twice")
         if self._field == b"archive":
             self.archive_seen = True
         elif self._field == b"options":

@@ -47,7 +47,7 @@ _EXAMPLE: JsonDict = {
 
 
 class CurvePoint(BaseModel):
-    """A row of the training curve. loss: the sum of the terms of the last iteration; psnr: dB on held-back views."""
+    """A row of the training curve. loss: the sum of the terms of the last iteration; psnr: dB on held-out views."""
 
     seconds: float
     stage: str
@@ -81,31 +81,33 @@ class JobView(BaseModel):
     status: JobStatus
     created: datetime
     finished: datetime | None = None
-    cancelling: bool = Field(False, description="A cancel was asked for and has not happened yet.")
-    step: str | None = Field(None, description="fetch, unpack, load, start, train, export, render, mesh, ... publish")
+    cancelling: bool = Field(False, description="Whether the job was asked to cancel and still runs.")
+    step: str | None = Field(
+        None, description="The present step: fetch, unpack, load, start, train, export, render, mesh, ... or publish."
+    )
     message: str | None = Field(None, description="The step in words.")
     stage: str | None = Field(None, description="The stage of training.")
     iteration: int | None = None
     total: int | None = Field(None, description="Planned iterations of this stage.")
     progress: float = Field(0.0, ge=0, le=1)
-    eta_seconds: float | None = Field(None, description="Estimated time left; known once training goes on.")
-    step_progress: float | None = Field(None, ge=0, le=1, description="Of the step alone, where it is long.")
-    step_eta_seconds: float | None = Field(None, description="Estimated time left to that step's end.")
-    training_seconds: float | None = Field(None, description="Spent in training so far.")
-    losses: dict[str, float | None] = Field({}, description="The last iteration's loss terms, times their weights.")
-    psnr: float | None = Field(None, description="dB on held-back views.")
+    eta_seconds: float | None = Field(None, description="Estimated seconds left. It is known once training has begun.")
+    step_progress: float | None = Field(None, ge=0, le=1, description="The progress of a long step alone.")
+    step_eta_seconds: float | None = Field(None, description="Estimated seconds to the end of that step.")
+    training_seconds: float | None = Field(None, description="Seconds of training so far.")
+    losses: dict[str, float | None] = Field({}, description="The weighted loss terms of the last iteration.")
+    psnr: float | None = Field(None, description="The PSNR on held-out views, in dB.")
     splats: dict[str, int] = {}
     previews: dict[str, int] = Field(
-        {}, description="The pictures at previews/{name}.webp, and of which iteration of its stage each is."
+        {}, description="The names of the pictures at previews/{name}.webp, each with its iteration of the stage."
     )
     curve: list[CurvePoint] = []
-    queue_position: int | None = Field(None, description="From 1; of a queued job.")
+    queue_position: int | None = Field(None, description="The position of a queued job, from 1.")
     attempt: int | None = None
     rerun_of: str | None = Field(None, description="The job whose archive this one took over.")
-    round: int = Field(0, description="How often it was retried by request.")
-    memory_bytes: int | None = Field(None, description="The most that the job process had so far.")
+    round: int = Field(0, description="The number of requested retries.")
+    memory_bytes: int | None = Field(None, description="The peak memory of the job process so far.")
     error: Failure | None = None
-    metrics: dict[str, Any] = Field({}, description="The headline figures of report.json, once it succeeded.")
+    metrics: dict[str, Any] = Field({}, description="The main figures of report.json, once the job has succeeded.")
     findings: list[FindingView] | None = Field(
         None, description="What the check of the photographs found, the worst first; null before it, and in lists."
     )

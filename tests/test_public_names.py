@@ -175,7 +175,7 @@ def test_a_render_has_its_cameras_size(result: mgsr.Reconstruction, capture: Pat
 def test_what_does_not_fit_is_refused(result: mgsr.Reconstruction, scene: mgsr.Scene, tmp_path: Path) -> None:
     with pytest.raises(mgsr.ConfigError, match="scene: expected a Scene or a path, got int"):
         mgsr.reconstruct(5, tmp_path)  # type: ignore[arg-type]
-    with pytest.raises(mgsr.ConfigError, match=r"data\.masks: expected auto, with which spheres was read, got off"):
+    with pytest.raises(mgsr.ConfigError, match=r"data\.masks: spheres is loaded with auto, got off"):
         mgsr.reconstruct(scene, tmp_path / "new", overrides={"masks": "off"})
     with pytest.raises(mgsr.ConfigError, match=r"option .masc. does not exist; did you mean data\.masks"):
         mgsr.reconstruct(scene, tmp_path / "new", overrides={"masc": "off"})

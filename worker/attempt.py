@@ -305,15 +305,15 @@ class Attempt:
         settings = self._context.settings
         if reason is Reason.MEMORY:
             return (
-                f"the job used {(peak or 0) / 2**20:.0f} MiB of memory; the worker's limit is "
-                f"{settings.job_memory / 2**20:.0f} MiB. Use smaller images (data.max_side), or a larger worker"
+                f"the job used {(peak or 0) / 2**20:.0f} MiB of memory, but the worker's limit is "
+                f"{settings.job_memory / 2**20:.0f} MiB; use smaller images (data.max_side), or a larger worker"
             )
         if reason is Reason.DISK_FULL:
             free = shutil.disk_usage(self._scratch).free
             least = settings.min_free_disk
             return f"the worker's disk has {free / 2**20:.0f} MiB left; {least / 2**20:.0f} MiB must stay free"
         limit = min(self._record.options.deadline_seconds or settings.job_deadline, settings.job_deadline)
-        return f"the job ran for longer than its deadline of {limit:g} s; retry it to go on from its checkpoint"
+        return f"the job exceeded its deadline of {limit:g} s; retry it to continue from its checkpoint"
 
     def _died(self, ended: Exit, out_of_memory: bool) -> Outcome:
         """Return how a round ends whose process ended without a result.
@@ -321,17 +321,17 @@ class Attempt:
         Raises Interrupted where a stranger killed it.
         """
         if ended.code == KILLED and out_of_memory:
-            text = f"the kernel ended the job for lack of memory; it had {ended.peak_memory / 2**20:.0f} MiB"
+            text = f"the operating system ended the job for lack of memory, at {ended.peak_memory / 2**20:.0f} MiB"
             return self._failed("out_of_memory", text, ended.peak_memory)
         if ended.code == KILLED:
             self._keep_checkpoint()
             raise Interrupted(lost=True)
-        text = f"the job process ended with {ended.code}: {self._last_words()}"
+        text = f"the job process ended with exit code {ended.code}: {self._last_words()}"
         return self._failed("crashed", text, ended.peak_memory)
 
     def _last_words(self) -> str:
         console = self._scratch / "console.txt"
-        return console.read_text(errors="replace")[-500:].strip() or "it said nothing"
+        return console.read_text(errors="replace")[-500:].strip() or "it printed nothing"
 
     def _failed(self, code: str, message: str, peak: int | None) -> Outcome:
         self._keep_checkpoint()

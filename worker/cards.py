@@ -14,7 +14,7 @@ from typing import Any
 
 from service.contract.errors import SetupError
 
-NAME_THEM = "or name the cards by their numbers: --gpus 0,1"
+NAME_THEM = "or name the cards by number: --gpus 0,1"
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ def all_cards() -> list[str]:
     found = _named_by_nvml() if visible is None else _named_by(visible)
     if not found:
         raise SetupError(
-            "--gpus all: no NVIDIA driver or card on this machine, or CUDA_VISIBLE_DEVICES hides it, or MIG is on and "
-            "there is no instance (nvidia-smi -L lists them); leave --gpus out to work on the CPU"
+            "--gpus all: found no NVIDIA driver or card; CUDA_VISIBLE_DEVICES may hide it, or MIG is on without an "
+            "instance (nvidia-smi -L lists them); remove --gpus to use the CPU"
         )
     return found
 
@@ -101,8 +101,7 @@ def ask_nvml() -> list[Card]:
         import pynvml
     except ImportError as error:
         raise SetupError(
-            "--gpus all: cards are counted with the package nvidia-ml-py: install MGSR with its cuda extra "
-            f"(pip install 'mgsr[cuda]'), {NAME_THEM}"
+            f"--gpus all: counting cards requires the package nvidia-ml-py; run pip install 'mgsr[cuda]', {NAME_THEM}"
         ) from error
     with _nvml(pynvml):
         handles = [pynvml.nvmlDeviceGetHandleByIndex(i) for i in range(pynvml.nvmlDeviceGetCount())]
@@ -122,8 +121,8 @@ def _nvml(pynvml: Any) -> Iterator[None]:
             pynvml.nvmlShutdown()
     except pynvml.NVMLError as error:
         raise SetupError(
-            f"--gpus all: no NVIDIA driver or card can be asked ({error}); see that nvidia-smi runs here, {NAME_THEM}; "
-            "leave --gpus out to work on the CPU"
+            f"--gpus all: the NVIDIA driver does not answer ({error}); check that nvidia-smi works, {NAME_THEM}, or "
+            "remove --gpus to use the CPU"
         ) from error
 
 

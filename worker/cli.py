@@ -15,17 +15,16 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 GpusOption = Annotated[
     str | None,
-    typer.Option(
-        metavar="all|0,1", help="One worker for each of these NVIDIA cards; jobs that ask for a card go there."
-    ),
+    typer.Option(metavar="all|0,1", help="Start one worker per NVIDIA card, for jobs that request a card."),
 ]
 
 
 @app.callback(invoke_without_command=True)
 def main(context: typer.Context, gpus: GpusOption = None) -> None:
-    """Take jobs from the queue at MGSR_REDIS_URL and the store at MGSR_STORE until stopped.
+    """Process jobs from the queue at MGSR_REDIS_URL and the store at MGSR_STORE, until stopped.
 
-    A job that runs then writes a checkpoint and goes back. With `run`, make one run here, which needs neither.
+    A running job then writes a checkpoint and returns to the queue. The command `run` makes a single run without queue
+    and store.
     """
     if context.invoked_subcommand is not None:
         return
@@ -37,7 +36,7 @@ def main(context: typer.Context, gpus: GpusOption = None) -> None:
 
 @app.command()
 def health() -> None:
-    """Say whether a worker of this machine lives; exit code 1 if none does. For health checks of containers."""
+    """Report whether a worker of this machine is alive, for health checks. The exit code is 1 if none is."""
     with refusals():
         from service.contract.queue import connect
         from service.contract.settings import Settings

@@ -6,14 +6,20 @@ import ast
 import inspect
 import io
 import tokenize
+from dataclasses import is_dataclass
 
 
 def field_comments(kind: type) -> dict[str, str]:
-    """Return the comment of each field that a dataclass defines, by the field's name.
+    """Return the comment of each field of a dataclass and its bases, by the field's name.
 
     It is the comment on the field's lines, with the lines below it that continue it in lower case. Without one, it is
     the comment lines above.
     """
+    inherited = [field_comments(base) for base in kind.__bases__ if is_dataclass(base)]
+    return {name: text for texts in (*inherited, _own_comments(kind)) for name, text in texts.items()}
+
+
+def _own_comments(kind: type) -> dict[str, str]:
     source = inspect.getsource(kind)
     at = {t.start[0]: (t.string.lstrip("# "), t.line.lstrip().startswith("#")) for t in _tokens(source)}
     (node,) = ast.parse(source).body

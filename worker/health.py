@@ -22,11 +22,11 @@ def worker_health(redis: Redis) -> tuple[bool, str]:
     try:
         workers = [worker for worker in Worker.all(connection=redis) if worker.name.rsplit(".", 2)[0] == host]
     except RedisError as error:
-        return True, f"not known: no answer from Redis: {error}"
+        return True, f"unknown: Redis does not answer: {error}"
     if not workers:
         return False, f"no worker of {host} has registered"
     silent = min(_silence(worker) for worker in workers)
-    return silent < SILENT_SECONDS, f"{len(workers)} of {host}, the last word {silent:.0f} s ago"
+    return silent < SILENT_SECONDS, f"{len(workers)} of {host}, the last heartbeat {silent:.0f} s ago"
 
 
 def _silence(worker: BaseWorker) -> float:

@@ -17,5 +17,5 @@ def check_images(folder: Path, most: int) -> None:
         name = path.relative_to(folder).as_posix()
         width, height = image_size(path, "the archive")
         if width * height > most:
-            text = f"image {name}: {width}x{height} pixels; at most {most} in one are taken"
+            text = f"image {name}: {width}x{height} pixels exceed the limit of {most} in one image; reduce it"
             raise ArchiveError("image_too_large", text)

@@ -81,14 +81,14 @@ def _run(spec: JobSpec) -> JobResult:
     except Cancelled as stop:
         return JobResult(status="stopped", message=str(stop))
     except KeyboardInterrupt:
-        return JobResult(status="stopped", message="stopped at once")
+        return JobResult(status="stopped", message="stopped immediately")
     except MgsrError as error:
         return JobResult(status="failed", code=error.code, message=_without_folders(str(error), spec))
     except MemoryError:
         return JobResult(status="failed", code="out_of_memory", message="the job ran out of memory")
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return JobResult(status="failed", code="disk_full", message=f"no space left on the worker's disk: {error}")
+            return JobResult(status="failed", code="disk_full", message=f"the worker's disk is full: {error}")
         return _unexpected(error)
     except Exception as error:
         return _unexpected(error)

@@ -110,7 +110,7 @@ class Post:
         self._redis.expire(_tries_key(job, number), round(GIVEN_UP_SECONDS))
         pause = BACK_OFF[min(tries, len(BACK_OFF)) - 1]
         self._redis.set(_wait_key(job, number), 1, ex=pause)
-        log.warning("job %s: webhook failed, trying again in %d s: %s", job, pause, trouble)
+        log.warning("job %s: the webhook failed and is retried in %d s: %s", job, pause, trouble)
 
 
 def content(record: JobRecord, number: int, outcome: Outcome) -> dict[str, object]:
@@ -137,7 +137,7 @@ async def call(message: Message, allow_private: bool) -> str | None:
             url = httpx.URL(message.url)
             address = await _address(url, allow_private)
             if address is None:
-                return f"{url.host} is an address of this machine or its network (MGSR_WEBHOOK_PRIVATE)"
+                return f"{url.host} is on this machine or its network (MGSR_WEBHOOK_PRIVATE)"
             headers = message.headers() | {"Host": url.netloc.decode()}
             # To the address that was looked at: the name may mean another the next time.
             target, names = url.copy_with(host=address), {"sni_hostname": url.host}

@@ -51,7 +51,7 @@ class Rounds:
             with LeaseKeeper(self.live, job, holder, self._settings.lease) as lease:
                 self._work(job, number, holder, lease, beat)
         except (StoreError, RedisError) as error:
-            log.warning("job %s: left for another attempt: %s", job, error)
+            log.warning("job %s: another attempt will continue it: %s", job, error)
 
     def _work(self, job: str, number: int, holder: str, lease: LeaseKeeper, beat: Callable[[], None]) -> None:
         record = self.retrying_jobs.record(job)
@@ -79,7 +79,7 @@ class Rounds:
     def _end(self, record: JobRecord, number: int, outcome: Outcome) -> None:
         """File the outcome, tell listeners, and delete what is no longer needed."""
         won = self.retrying_jobs.finish(record.id, number, outcome)
-        log.info("job %s: %s%s", record.id, outcome.status, "" if won else ", but another attempt was first")
+        log.info("job %s: %s%s", record.id, outcome.status, "" if won else ", but another attempt had finished first")
         if not won:
             return
         self._tell(record.id, {"status": outcome.status, "round": number})
@@ -99,7 +99,7 @@ class Rounds:
 def _given_up(lost: int) -> Outcome:
     failure = Failure(
         code="worker_lost",
-        message=f"{lost} attempts ended with their worker or their process killed; look at the workers, then retry",
+        message=f"{lost} attempts ended because their worker or process was killed; check the workers, then retry",
         retryable=True,
     )
     return Outcome(status=JobStatus.FAILED, attempt=None, finished=now(), error=failure)

@@ -110,7 +110,7 @@ class MgsrWorker(SimpleWorker):
 
     def handle_exception(self, job: Job, *exc_info: Any) -> None:
         """Log what should not have happened; recovery puts the round back."""
-        log.error("job %s: the attempt itself failed", job.id, exc_info=exc_info)
+        log.error("job %s: the attempt failed unexpectedly", job.id, exc_info=exc_info)
 
 
 def work(queues: list[str], settings: Settings) -> None:
@@ -124,7 +124,7 @@ def work(queues: list[str], settings: Settings) -> None:
             try:
                 MgsrWorker(queues, settings, stop).work(logging_level="WARNING")
             except RedisError as error:
-                log.warning("no answer from Redis, trying again: %s", error)
+                log.warning("Redis does not answer and is tried again: %s", error)
             if not stop.asked:
                 time.sleep(1.0)
 
@@ -141,7 +141,7 @@ def _keep_house(settings: Settings) -> None:
                 sweep(settings.scratch_folder)
             recovery.look()
         except (RedisError, StoreError, OSError) as error:
-            log.warning("recovery: trying again: %s", error)
+            log.warning("recovery failed and will be retried: %s", error)
         time.sleep(PERIOD)
 
 
@@ -153,5 +153,5 @@ def _send_post(settings: Settings) -> None:
         try:
             post.look()
         except (RedisError, StoreError) as error:
-            log.warning("webhooks: trying again: %s", error)
+            log.warning("webhooks failed and will be retried: %s", error)
         time.sleep(PERIOD)

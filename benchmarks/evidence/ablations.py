@@ -41,17 +41,21 @@ PAPER_MEANS = {
 # What the paper found, as comparisons of the method E with another row: the finding, the row, and the scores that
 # should be better with E.
 FINDINGS = (
-    ("The surfaces help the renders: both branches beat the 3D branch alone", "A", ("psnr", "split_gain")),
-    ("The renders help the surface: both branches beat the 2D branch alone", "B", ("normal_consistency", "chamfer")),
-    ("More weight on the 3D branch costs surface", "C", ("normal_consistency", "chamfer")),
-    ("More weight on the 2D branch costs renders", "D", ("psnr",)),
-    ("More weight on the mutual depth loss does harm", "F", ("psnr", "normal_consistency", "chamfer")),
+    ("The 2D branch improves the renders: both branches beat the 3D branch alone", "A", ("psnr", "split_gain")),
+    (
+        "The 3D branch improves the surface: both branches beat the 2D branch alone",
+        "B",
+        ("normal_consistency", "chamfer"),
+    ),
+    ("A larger weight of the 3D branch worsens the surface", "C", ("normal_consistency", "chamfer")),
+    ("A larger weight of the 2D branch worsens the renders", "D", ("psnr",)),
+    ("A larger weight of the mutual depth loss does harm", "F", ("psnr", "normal_consistency", "chamfer")),
     ("A quarter of the mutual phase is too little", "G", ("psnr", "normal_consistency", "chamfer")),
     ("Half of the mutual phase is too little", "H", ("psnr", "normal_consistency", "chamfer")),
     ("More of the mutual phase only takes longer", "J", ("seconds",)),
     ("Gradients into both branches help", "K", ("psnr", "normal_consistency", "chamfer")),
-    ("Auto-stop saves time at equal quality", "L", ("seconds", "psnr", "normal_consistency", "chamfer")),
-    ("TV losses help", "N", ("psnr", "normal_consistency", "chamfer")),
+    ("Early stopping saves time at equal quality", "L", ("seconds", "psnr", "normal_consistency", "chamfer")),
+    ("Losses of total variation help", "N", ("psnr", "normal_consistency", "chamfer")),
 )
 
 OURS = ("psnr", "normal_consistency", "chamfer", "split_gain", "seconds")
@@ -62,15 +66,15 @@ def ablation_section(rows: Sequence[Row]) -> str:
     return "\n\n".join(
         (
             "## The paper's ablation rows",
-            "Each row is the method with one thing changed (settings in [mgsr/config/paper.py]"
-            "(../mgsr/config/paper.py); the published weights of C, D and F are not known, so those are ours). Our "
-            "figures are means over the scenes on which both the row and the method were run at the same commit, and "
-            "in brackets the difference to the method. The paper's are means over 30 other objects, at "
-            "another size and scale: only the differences can be held against each other. A dash: the supplement gives "
-            "no mean, or no such output.",
+            "Each row changes one thing in the method. [mgsr/config/paper.py](../mgsr/config/paper.py) has the "
+            "settings; the published weights of C, D and F are unknown, so they are MGSR's. MGSR's figures are "
+            "means over the scenes on which both the row and the method were run at the same commit. Brackets give "
+            "the difference to the method. The paper's figures are means over 30 other objects, at another size and "
+            "scale, so compare only the differences. A dash means that the supplement gives no mean, or that the "
+            "row has no such output.",
             _table(PAPER_ROWS, rows),
-            "What the paper found, and whether it holds here (`standard`; a finding holds where every scene says so, "
-            f"and {_about_seeds(rows)}):",
+            "The findings of the paper, and whether they hold here (`standard`). A finding holds if it holds on "
+            f"every scene ({_about_seeds(rows)}):",
             "\n".join(_finding(finding, name, scores, rows) for finding, name, scores in FINDINGS),
         )
     )
@@ -81,11 +85,11 @@ def choices_section(rows: Sequence[Row]) -> str:
     missing = [row.name for row in PAPER_CHOICES if not held_against(_runs(row, rows), rows)]
     parts = [
         "## Where a default differs from the paper's",
-        "Each row takes the paper's choice back; in brackets, the difference to our default on the same scenes.",
+        "Each row uses the paper's choice. Brackets give the difference to MGSR's default on the same scenes.",
         _table([row for row in PAPER_CHOICES if row.name not in missing], rows, paper=False),
     ]
     if missing:
-        parts.append(f"Not run yet, so nothing here shows why these differ: {', '.join(missing)}.")
+        parts.append(f"These rows were not run, so this page cannot show why they differ: {', '.join(missing)}.")
     return "\n\n".join(part for part in parts if part)
 
 
@@ -97,7 +101,7 @@ def _table(chosen: Sequence[AblationRow], rows: Sequence[Row], paper: bool = Tru
     """Return a table of ablation rows; rows that were not run have dashes, and without a row there is no table."""
     if not chosen:
         return ""
-    head = ["row", "what it changes", "scenes", "PSNR", "NC", "Chamfer", "split gain", "seconds"]
+    head = ["row", "change", "scenes", "PSNR", "NC", "Chamfer", "split gain", "seconds"]
     head += ["paper: PSNR", "NC", "Chamfer"] if paper else []
     return markdown(head, [_cells(row, rows, paper) for row in chosen])
 
@@ -150,15 +154,15 @@ def _finding(finding: str, name: str, scores: Sequence[str], rows: Sequence[Row]
         if found is None:
             continue
         if score == "seconds" and found.busy:
-            told.append("time: the machine was busy, so it can't be told")
+            told.append("time: unknown, because the machine was busy")
             continue
         told.append(f"**{verdict(found, seed_spread(rows, score))}**: {found.words()}")
-    return f"- {finding} (row {name}). " + (" ".join(f"{words}." for words in told) or "Not run yet.")
+    return f"- {finding} (row {name}). " + (" ".join(f"{words}." for words in told) or "These rows were not run.")
 
 
 def _about_seeds(rows: Sequence[Row]) -> str:
     known = {SCORES[score][0]: seed_spread(rows, score) for score in ("psnr", "normal_consistency", "chamfer")}
     if any(value is None for value in known.values()):
-        return "no scene was run with several seeds, so small differences may be chance"
+        return "no scene was run with several seeds, so small differences may be due to chance"
     spreads = ", ".join(f"{name} {number(value, '.2f')}" for name, value in known.items())
-    return f"the spread between seeds, below which no difference counts, is {spreads}"
+    return f"differences below the spread between seeds do not count: {spreads}"

@@ -50,7 +50,7 @@ class Comparison:
         gains = list(self.gains.values())
         mean, low, high = (f"{value:+z{form}}" for value in (statistics.fmean(gains), min(gains), max(gains)))
         told = f"{name} better on {len(self.better)}, worse on {len(self.worse)} of {len(gains)} scenes"
-        return f"{told} (gain {mean}{unit} in the mean, {low} to {high})"
+        return f"{told} (mean gain {mean}{unit}, from {low} to {high})"
 
 
 def plain_runs(rows: Sequence[Row], method: str = "mgsr", variant: str = "", preset: str = PRESET) -> dict[str, Row]:
@@ -113,10 +113,10 @@ def seed_spread(rows: Sequence[Row], score: str) -> float | None:
 def verdict(comparison: Comparison | None, spread: float | None) -> str:
     """Say in a few words whether a finding holds."""
     if comparison is None:
-        return "not run yet"
+        return "not run"
     mean = statistics.fmean(comparison.gains.values())
     if spread is not None and abs(mean) < spread:
-        return "no difference beyond that of seeds"
+        return "no difference beyond the spread between seeds"
     if not comparison.better and not comparison.worse:
         return "no difference"
     if len(comparison.better) == len(comparison.gains):

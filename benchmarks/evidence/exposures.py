@@ -45,10 +45,10 @@ def exposure_section(rows: Sequence[ExposureRow]) -> str:
     return "\n\n".join(
         (
             "## Photographs of differing exposure",
-            f"Each training photograph got a factor of light of its own, whose logarithm deviates by {deviations}. "
-            "PSNR is on the object, after a gain of each channel, since nobody can know at which exposure the test "
-            f"photographs were to be taken. Preset {presets}, program at {commits}; made by `python -m "
-            "benchmarks.exposures`.",
+            "The light of each training photograph was multiplied by a random factor, whose logarithm has the "
+            f"standard deviation {deviations}. PSNR is on the object, after one gain per channel, because the "
+            f"exposure of the test photographs is arbitrary. The preset is {presets}, the program that of "
+            f"{commits}. `python -m benchmarks.exposures` makes these figures.",
             markdown(["scene", "photographs", "PSNR", "Chamfer", "F", "normal error"], cells),
             *_words(rows),
         )
@@ -64,4 +64,4 @@ def _words(rows: Sequence[ExposureRow]) -> list[str]:
     lost, left = (
         sum(by[scene, EVEN].psnr - by[scene, kind].psnr for scene in whole) / len(whole) for kind in (KEPT, EVENED)
     )
-    return [f"In the mean, differing exposures cost {lost:.2f} dB if nothing is done, and {left:.2f} dB as it is."]
+    return [f"On average, differing exposures cost {lost:.2f} dB without correction, and {left:.2f} dB with it."]

@@ -14,7 +14,7 @@ from mgsr.bench.table import markdown, number
 
 KERNELS = "kernels.csv"
 CHOICES = "kernel_choices.csv"
-AS_IT_IS = "as it is"  # the variant of a choice's row in which nothing is changed
+AS_IT_IS = "default"  # the variant of a choice's row in which nothing is changed
 # Where an image is off by more than this, a splat crossed a threshold (1/255 of alpha) that it did not in float64.
 ROUNDING = 1e-4
 
@@ -79,10 +79,10 @@ def kernel_section(rows: Sequence[KernelRow], choices: Sequence[KernelRow] = ())
     return "\n\n".join(
         (
             "## The kernels: time against error",
-            "Every kernel computes in float32; the errors are those against float64 (outputs in their own units, "
-            "gradients relative to the largest and to the mean true gradient of the same input). Times are "
-            "milliseconds with all threads; CPU is what all threads spent together; `torch` is plain float32 torch, "
-            f"which shows how large float32's own error is. {_machines(rows)}.",
+            "Every kernel computes in float32. Errors are differences to float64: outputs in their own units, "
+            "gradients relative to the largest and to the mean true gradient of the same input. Times are "
+            "milliseconds with all threads, and CPU is the sum over all threads. `torch` is plain float32 torch; it "
+            f"shows the error of float32 itself. {_machines(rows)}.",
             "![Milliseconds against the largest error of each kernel and variant](images/evidence/kernels.svg)",
             kernel_table(rows),
             _words(rows),
@@ -113,8 +113,8 @@ def _choices(rows: Sequence[KernelRow]) -> list[str]:
         for row in others
     ]
     return [
-        "Tile sizes and the exponential are fixed when the kernels are built. Built with one of them chosen otherwise, "
-        f"and in brackets what the kernels as they are have, or how far from that it is ({_machines(rows)}):",
+        "Tile sizes and the exponential are fixed when the kernels are built. Each row changes one of them. "
+        f"Brackets give the value of the default kernels, or the difference to it ({_machines(rows)}):",
         markdown(head, cells),
     ]
 
@@ -145,15 +145,16 @@ def _words(rows: Sequence[KernelRow]) -> str:
     crossed = list(dict.fromkeys(row.kernel for row in rows if row.error_max > ROUNDING))
     if crossed:
         told.append(
-            f"Errors above {ROUNDING:.0e} are no rounding of colours but a splat that falls on the other side of a "
-            f"threshold, or a depth where hardly anything is seen: {', '.join(crossed)}."
+            f"Errors above {ROUNDING:.0e} do not come from rounding. A splat falls on the other side of a threshold, "
+            f"or a depth lies where hardly anything is visible: {', '.join(crossed)}."
         )
     worst = max((row for row in rows if row.gradient_max is not None), key=lambda row: row.gradient_max or 0)
     told.append(
-        f"The worst gradient: {worst.kernel}, {worst.variant}, {worst.gradient_max:.1e} of the largest true one."
+        f"The worst gradient is that of {worst.kernel}, {worst.variant}: its error is {worst.gradient_max:.1e} of the "
+        "largest true gradient."
     )
     lacking = [name for name in ("avx512", "cuda") if name not in variants]
-    told.append(f"Not measured, for want of such a machine: {', '.join(lacking)}." if lacking else "")
+    told.append(f"No machine was available to measure {', '.join(lacking)}." if lacking else "")
     return " ".join(words for words in told if words)
 
 

@@ -62,20 +62,20 @@ def _lead(evidence: Evidence) -> str:
     runs = evidence.rows
     scenes = ", ".join(dict.fromkeys(row.scene for row in runs))
     return (
-        "# Evidence: speed against error\n\n"
-        f"How long MGSR takes, how wrong its results are, and which of its parts earn their time: {len(runs)} runs on "
-        f"the scenes {scenes}, path-traced objects whose true shape is known. Chamfer is the mean distance between "
-        "surface and truth, in thousandths of the object's radius; F the share of the surface within 0.5% of the "
-        "radius; the normal error in degrees; NC the normal consistency times 100; PSNR of views that training never "
-        f"saw, on white. This page is made by `{COMMAND}` from [benchmarks/results](../benchmarks/results), its "
-        "figures and its judgements alike: change the results, not the page."
+        "# Evidence: speed against error\n\nThis page shows how long MGSR takes, how large its errors are, and which "
+        f"of its parts are worth their time. It has {len(runs)} runs on the scenes {scenes}, path-traced objects of "
+        "known shape. Chamfer is the mean distance between surface and truth, in thousandths of the object's radius. "
+        "F is the share of the surface within 0.5% of the radius. The normal error is in degrees, and NC is the "
+        f"normal consistency times 100. PSNR is that of views that training never saw, on white. `{COMMAND}` makes "
+        "this page, its figures and its judgements alike, from [benchmarks/results](../benchmarks/results): change "
+        "the results, not the page."
     )
 
 
 def _need_section(evidence: Evidence) -> str:
     images = (
-        f"![Gaussians of both branches against each score]({image('error_gaussians.svg')})",
-        f"![The most memory that each run held]({image('memory.svg')})",
+        f"![Number of splats of both branches against each score]({image('error_gaussians.svg')})",
+        f"![Peak memory of each run]({image('memory.svg')})",
     )
     return need_section(evidence.rows, evidence.behind, [fact.scene for fact in evidence.scenes], images)
 
@@ -86,10 +86,10 @@ def _making_section(evidence: Evidence) -> str:
     return "\n\n".join(
         (
             "## How this was made",
-            f"Runs on {'; '.join(machines)}; program at {', '.join(commits)}. Every row of "
-            "[runs.csv](../benchmarks/results/runs.csv) has its machine, versions, commit, command and notes "
-            "([as a page](../benchmarks/results/runs.md)). To run what is missing, take it into the results and make "
-            "this page anew:",
+            f"The runs were made on {'; '.join(machines)}, with the program at {', '.join(commits)}. Every row of "
+            "[runs.csv](../benchmarks/results/runs.csv) has its machine, versions, commit, command and notes ([as a "
+            "page](../benchmarks/results/runs.md)). These commands run what is missing, add it to the results, and "
+            "make this page again:",
             "<!-- not run: it needs the measurement scenes and hours -->\n```sh\n"
             "mgsr bench ../shared/data/scenes/{spot_soft,teapot_hdr,bunny_flash,wingnut_dark} -o out/bench \\\n"
             "    --methods mgsr,2dgs,3dgs --presets draft,standard --evaluate ../shared/tools/evaluate.py \\\n"

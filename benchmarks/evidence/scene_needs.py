@@ -27,8 +27,9 @@ def need_section(rows: Sequence[Row], behind: Sequence[Row], ordered: Sequence[s
     """
     runs = plain_runs(rows)
     parts = (
-        "## Only what a scene needs",
-        "A simple scene should end as a simple model. From the simplest scene to the hardest (by the hull's Chamfer):",
+        "## Simple models for simple scenes",
+        "A simple scene should end as a simple model. The scenes are sorted from the simplest to the hardest, by "
+        "the Chamfer distance of the hull:",
         _models([runs[scene] for scene in ordered if scene in runs]),
         *images,
         *_parts_left_out([*rows, *behind], ordered),
@@ -38,7 +39,7 @@ def need_section(rows: Sequence[Row], behind: Sequence[Row], ordered: Sequence[s
 
 
 def _models(runs: Sequence[Row]) -> str:
-    head = ["scene", "surfels", "gaussians", "splats, MiB", "faces", "most memory, MiB", "seconds"]
+    head = ["scene", "surfels", "gaussians", "splats, MiB", "faces", "peak memory, MiB", "seconds"]
     cells = [
         [row.scene, str(row.surfels), str(row.gaussians), number(row.model_mib, ".1f"), str(row.faces),
          number(row.memory_mib, ".0f"), _seconds(row)]
@@ -52,7 +53,7 @@ def _size_words(rows: Sequence[Row]) -> list[str]:
         return []
     sizes = [row.model_mib for row in rows if row.model_mib is not None]
     first = rows[0].model_mib or 0
-    return [f"The simplest scene's splats take {first:.1f} MiB, the largest model {max(sizes):.1f} MiB."]
+    return [f"The splats of the simplest scene take {first:.1f} MiB, those of the largest model {max(sizes):.1f} MiB."]
 
 
 def _parts_left_out(rows: Sequence[Row], ordered: Sequence[str]) -> list[str]:
@@ -66,12 +67,12 @@ def _parts_left_out(rows: Sequence[Row], ordered: Sequence[str]) -> list[str]:
         missing += [] if lines else [row.name]
     if not cells:
         return []
-    head = ["what would be instead", "scene", "PSNR", "Chamfer", "NC", "splats", "seconds"]
+    head = ["change", "scene", "PSNR", "Chamfer", "NC", "splats", "seconds"]
     return [
-        "Each line gives a run more than it takes by itself; in brackets, how that differs from the run as it is. What "
-        "brings nothing in the figures and costs splats or seconds was rightly left out:",
+        "Each row gives a run more than MGSR would. Brackets give the difference to the default run. What improves "
+        "no figure and costs splats or seconds was rightly left out:",
         markdown(head, cells),
-        *([f"Not run yet: {', '.join(missing)}."] if missing else []),
+        *([f"These were not run: {', '.join(missing)}."] if missing else []),
     ]
 
 
@@ -102,8 +103,8 @@ def _budgets(rows: Sequence[Row], ordered: Sequence[str]) -> list[str]:
     ]  # fmt: skip
     within = sum(SHORT <= (row.seconds or 0) / seconds <= LONG for _, seconds, row in given)
     return [
-        f"Runs that were given a time (`--time-budget`), which shall end at {SHORT:.0%} to {LONG:.0%} of it: {within} "
-        f"of {len(given)} did.",
+        f"Runs with `--time-budget` should end at {SHORT:.0%} to {LONG:.0%} of the budget. {within} of {len(given)} "
+        "did.",
         markdown(["scene", "given, s", "taken, s", "share", "PSNR", "Chamfer", "NC"], cells),
     ]
 

@@ -39,10 +39,10 @@ def sets_section(rows: Sequence[SetRow]) -> str:
     presets, seeds = ", ".join(sorted({row.preset for row in rows})), ", ".join(sorted({str(row.seed) for row in rows}))
     commits = ", ".join(dict.fromkeys(row.commit for row in rows))
     parts = [
-        "## Scenes that settings were chosen on, and others",
-        "Settings are chosen on the tuning set alone; the judging set tells what they are worth on scenes that nobody "
-        f"tuned for. Preset {presets}, seed {seeds}, program at {commits}; made by `python -m "
-        "benchmarks.scene_scores`.",
+        "## The tuning set and the judging set",
+        "Settings are chosen on the tuning set alone. The judging set shows how they do on scenes for which nobody "
+        f"tuned them. The preset is {presets}, the seed {seeds}, the program that of {commits}. `python -m "
+        "benchmarks.scene_scores` makes these figures.",
     ]
     for name in (TUNING, JUDGING):
         of_set = [row for row in rows if row.set == name]
@@ -70,9 +70,16 @@ def _table(rows: Sequence[SetRow]) -> str:
 def _means(name: str, rows: Sequence[SetRow]) -> str:
     count, above = len(rows), [row.scene for row in rows if row.chamfer > row.hull_chamfer]
     chamfer, error = (sum(getattr(row, field) for row in rows) / count for field in ("chamfer", "normal_error"))
-    worse = f" Worse than the hull: {', '.join(above)}." if above else " No scene is worse than its hull."
+    worse = (
+        (f" These scenes are worse than their hull: {', '.join(above)}.")
+        if above
+        else " No scene is worse than its hull."
+    )
     scenes = "1 scene" if count == 1 else f"{count} scenes"
-    return f"Mean of the {name} set's {scenes}: Chamfer {chamfer:.2f}, normal error {error:.1f} degrees.{worse}"
+    return (
+        f"The {name} set's {scenes} have a mean Chamfer of {chamfer:.2f} and a mean normal error of {error:.1f} "
+        f"degrees.{worse}"
+    )
 
 
 def _gap(rows: Sequence[SetRow]) -> list[str]:
@@ -81,5 +88,5 @@ def _gap(rows: Sequence[SetRow]) -> list[str]:
         return []
     tuning, judging = (sum(of_set) / len(of_set) for of_set in shares)
     return [
-        f"In the mean, Chamfer is {tuning:.0%} of the hull's on the tuning set and {judging:.0%} on the judging set."
+        f"On average, Chamfer is {tuning:.0%} of the hull's on the tuning set and {judging:.0%} on the judging set."
     ]

@@ -15,13 +15,13 @@ def surface_section(evidence: Evidence) -> str:
     """Return the table of each scene's scores beside the hull's."""
     runs = plain_runs(evidence.rows)
     facts = [fact for fact in evidence.scenes if fact.scene in runs]
-    head = ["scene", "what is hard", "Chamfer (hull)", "F (hull)", "normal error (hull)", "NC", "PSNR", "SSIM"]
+    head = ["scene", "difficulty", "Chamfer (hull)", "F (hull)", "normal error (hull)", "NC", "PSNR", "SSIM"]
     cells = [[fact.scene, fact.what, *_beside_the_hull(runs[fact.scene], fact)] for fact in facts]
     ratios = [(runs[f.scene].chamfer or 0) / f.hull_chamfer for f in facts if runs[f.scene].chamfer]
     parts = [
-        "## The surface, beside what the masks alone give",
-        "The visual hull, which the masks give without any training, nearly solves such scenes: a result counts where "
-        "it beats the hull. `standard`, method `mgsr`:",
+        "## The surface and the visual hull",
+        "Masks alone give the visual hull, without any training. On some scenes it is nearly right, so a result "
+        "counts if it beats the hull. The runs have the preset `standard` and the method `mgsr`:",
         markdown(head, cells),
     ]
     if ratios:
@@ -48,11 +48,11 @@ def _with_one_change(evidence: Evidence) -> list[str]:
     if unmasked:
         head = ["scene", "Chamfer (with masks)", "F (with masks)", "normal error (with masks)", "PSNR"]
         cells = [[scene, *_beside_masks(row, runs.get(scene))] for scene, row in unmasked.items()]
-        told += ["Without masks (`masks=off`), before the plain white that they then have:", markdown(head, cells)]
+        told += ["Without masks (`masks=off`), before a plain white backdrop:", markdown(head, cells)]
     shading = compare(runs, plain_runs(evidence.rows, variant=BEFORE_SHADING), "chamfer")
     if shading is not None:
         each = ", ".join(f"{scene} {gain:+z.2f}" for scene, gain in shading.gains.items())
-        told.append(f"What came with refining the surface by shading (and with all else since): Chamfer gains {each}.")
+        told.append(f"Refinement by shading, and all later changes, gain in Chamfer: {each}.")
     return told
 
 
@@ -83,11 +83,11 @@ def methods_section(evidence: Evidence) -> str:
     return "\n\n".join(
         (
             "## Speed against error",
-            "![Chamfer, normal consistency and PSNR over seconds, a column for each scene; a dot is a finished run, a "
-            f"dotted line the PSNR of some test views while it trained]({image('error_seconds.svg')})",
+            "![Chamfer, normal consistency and PSNR over seconds, one column per scene. A dot is a finished run, a "
+            f"dotted line the PSNR of some test views during training]({image('error_seconds.svg')})",
             markdown(head, cells),
-            "A star: others kept the machine busy meanwhile. The dotted lines are of two test views and the dots of "
-            "all, so a line need not end at its dot; Chamfer is drawn on a logarithmic scale.",
+            "A star marks runs during which other programs kept the machine busy. Dotted lines are of two test "
+            "views and dots of all, so a line need not end at its dot. Chamfer has a logarithmic scale.",
             *_method_words(evidence),
         )
     )
@@ -119,14 +119,14 @@ def curve_section(evidence: Evidence) -> str:
         cells.append([*_run_cells(row), f"{end:.0f}", f"{near:.0f}", f"{near / end:.0%}", f"{best:.2f}"])
     if not cells:
         return ""
-    head = ["scene", "method", "preset", "training, s", "near its best after, s", "share", "best, dB"]
+    head = ["scene", "method", "preset", "training, s", "near its best after (s)", "share", "best, dB"]
     return "\n\n".join(
         (
             "## Within a run",
-            f"When the PSNR of the two test views that the curve watches first came within {NEAR_BEST} dB of its best. "
-            "What training does after that must show in the surface, or it is wasted; a run that was near its best "
-            "only at its end would have gained from more. The two views decide nothing in the run itself, and no run "
-            "measures its Chamfer on the way.",
+            f"The table tells when the PSNR of the curve's two test views first came within {NEAR_BEST} dB of its "
+            "best. Later training must improve the surface, or it is wasted. A run that was near its best only at "
+            "its end would have gained from more. The two views decide nothing in a run, and no run measures its "
+            "Chamfer during training.",
             markdown(head, cells),
         )
     )
@@ -144,9 +144,10 @@ def light_section(evidence: Evidence) -> str:
     ]  # fmt: skip
     return "\n\n".join(
         (
-            "## How true the light split is",
-            "The same views path-traced without any gloss, against the transmitted half of the render and against the "
-            "photograph itself, on the object, after a gain of each channel. Below zero, the split does harm.",
+            "## The accuracy of the light split",
+            "The same views were path-traced without gloss. They are compared with the transmitted light of the "
+            "render and with the photograph itself, on the object, after one gain per channel. The split gain is "
+            "the difference of the two PSNRs. Below zero, the split does harm.",
             markdown(
                 ["scene", "method", "preset", "variant", "transmitted, dB", "photograph, dB", "split gain, dB"], cells
             ),

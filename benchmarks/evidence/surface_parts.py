@@ -33,9 +33,9 @@ class PartRow:
 def start_section(rows: Sequence[PartRow]) -> str:
     """Return the table of the start's parts; empty without rows."""
     return _section(
-        "## What the parts of the start are worth",
-        "The surface that training begins on, found once with all parts and once without each of them.",
-        "Seconds leave out stereo's search, which is the same in all rows.",
+        "## The value of the parts of the start",
+        "The first surface was reconstructed once with all parts and once without each of them.",
+        "Seconds exclude the search of stereo, which is the same in all rows.",
         "start_parts",
         rows,
     )
@@ -44,9 +44,9 @@ def start_section(rows: Sequence[PartRow]) -> str:
 def finish_section(rows: Sequence[PartRow]) -> str:
     """Return the table of the parts that finish the surface; empty without rows."""
     return _section(
-        "## What the parts that finish the surface are worth",
-        "The surface extracted from the same trained surfels, once with all parts and once without each of them.",
-        "Seconds leave out rendering the views, which is the same in all rows.",
+        "## The value of the parts of the refinement",
+        "The surface was extracted from the same trained surfels, once with all parts and once without each of them.",
+        "Seconds exclude the rendering of the views, which is the same in all rows.",
         "finish_parts",
         rows,
     )
@@ -63,10 +63,11 @@ def _section(title: str, what: str, seconds: str, script: str, rows: Sequence[Pa
     return "\n\n".join(
         (
             title,
-            f"{what} The table tells by how much leaving a part out raises the Chamfer distance and the normal error, "
-            f"in the mean over {len(whole)} scenes of the tuning set ({', '.join(whole)}); on how many scenes the part "
-            "changes the Chamfer distance by more than 1% for the better or the worse; and the processor's seconds "
-            f"that it takes. {seconds} Program at {commits}; made by `python -m benchmarks.{script}`.",
+            f"{what} The table tells by how much the Chamfer distance and the normal error rise without a part, on "
+            f"average over {len(whole)} scenes of the tuning set ({', '.join(whole)}). It counts the scenes on "
+            "which the part improves or worsens the Chamfer distance by more than 1%, and gives its processor "
+            f"seconds. {seconds} The program is that of {commits}. `python -m benchmarks.{script}` makes these "
+            "figures.",
             markdown(head, [_part(of_part, whole) for of_part in without if of_part]),
         )
     )

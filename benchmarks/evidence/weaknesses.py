@@ -11,7 +11,7 @@ from mgsr.bench.results import Row
 def weak_section(evidence: Evidence) -> str:
     """Return the list of what speaks against the program; empty where nothing does."""
     points = [*_weak_scores(evidence), *_weak_measurements(evidence)]
-    return "## What is weak\n\n" + "\n".join(f"- {point}" for point in points) if points else ""
+    return "## Weaknesses\n\n" + "\n".join(f"- {point}" for point in points) if points else ""
 
 
 def _weak_scores(evidence: Evidence) -> list[str]:
@@ -20,17 +20,19 @@ def _weak_scores(evidence: Evidence) -> list[str]:
     for score in ("chamfer", "normal_error"):
         found = compare(mgsr, surfels, score)
         if found is not None and len(found.worse) > len(found.better):
-            points.append(f"The surface is no better than that of the 2D branch alone: {found.words()}.")
+            points.append(f"The surface is no better than with the 2D branch alone: {found.words()}.")
     harmed = [row for row in evidence.rows if row.split_gain is not None and row.split_gain < 0]
     if harmed:
         told = ", ".join(f"{_label(row)} {row.split_gain:.2f} dB" for row in harmed)
-        points.append(f"The light split does harm (the photograph itself is nearer to the matte look): {told}.")
+        points.append(
+            f"The light split does harm, because the photograph itself is nearer to the matte object: {told}."
+        )
     low = [row for row in mgsr.values() if row.f_score is not None and row.f_score < 0.8]
     points += [f"On {row.scene} only {row.f_score:.0%} of the surface lies within 0.5% (F)." for row in low]
     ways = early_ends(evidence.all_rows)
     if ways and not any(way.pays for way in ways):
         most = max(ways, key=lambda way: way.saved)
-        points.append(f"No way to end earlier pays. The most that one saves is {most.words}: {most.meaning}.")
+        points.append(f"No shorter training pays. The largest saving is {most.words}: {most.meaning}.")
     return points
 
 
@@ -40,18 +42,18 @@ def _weak_measurements(evidence: Evidence) -> list[str]:
     timed = [row for row in rows if row.seconds is not None]
     if busy:
         points.append(
-            f"{len(busy)} of {len(timed)} runs shared the machine with other work: their seconds are too many by an "
-            "unknown share, and no two of them can be compared."
+            f"{len(busy)} of {len(timed)} runs shared the machine with other work. Their times are too long by an "
+            "unknown share and cannot be compared."
         )
     presets = {row.preset for row in rows}
     if missing := [name for name in ("draft", "standard", "high") if name not in presets]:
-        points.append(f"Presets without any run here: {', '.join(missing)}. So there is no front of presets yet.")
+        points.append(f"These presets have no run here: {', '.join(missing)}.")
     if len({row.seed for row in rows}) == 1:
-        points.append("One seed each: nothing here says how much a result changes by chance.")
+        points.append("All runs have one seed, so this page does not show how much results vary by chance.")
     if not any(row.device == "cuda" for row in rows):
-        points.append("No run on this page is on a card; benchmarks/results/cuda.md has some.")
+        points.append("No run on this page used a GPU; benchmarks/results/cuda.md has such runs.")
     if len({row.commit for row in timed}) > 1:
-        points.append("The runs are of several commits; each row of the results names its own.")
+        points.append("The runs come from several commits; each row of the results names its own.")
     return points
 
 

@@ -11,9 +11,9 @@ from benchmarks.gpu_check.results import Results
 def parser(description: str | None) -> argparse.ArgumentParser:
     """Return a parser of what every step is given; `results_of`, `work_of` and the attribute device read it."""
     made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("--results", type=Path, required=True, help="the folder of the results")
-    made.add_argument("--work", type=Path, required=True, help="a folder for what is not brought home")
-    made.add_argument("--device", default="cuda", help="cuda, or cpu to try the step without a card")
+    made.add_argument("--results", type=Path, required=True, help="the folder for the results")
+    made.add_argument("--work", type=Path, required=True, help="the folder for files that stay on the machine")
+    made.add_argument("--device", default="cuda", help="cuda, or cpu to test the step without a card")
     return made
 
 
@@ -34,5 +34,5 @@ def require_card(device: str) -> None:
     import torch
 
     if device == "cuda" and not torch.cuda.is_available():
-        built = "is built for the CPU alone" if torch.version.cuda is None else "sees no NVIDIA card or driver"
-        raise SystemExit(f"no card: this torch {built}")
+        built = "is built for the CPU only" if torch.version.cuda is None else "sees no NVIDIA card or driver"
+        raise SystemExit(f"no card: the installed torch {built}")

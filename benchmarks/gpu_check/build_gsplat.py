@@ -69,13 +69,13 @@ def render_small(device: str, package: str | None) -> None:
     try:
         from benchmarks import rasterizers
     except ImportError as error:
-        raise SystemExit(f"the benchmark can't be imported: {error}") from error
+        raise SystemExit(f"the benchmark cannot be imported: {error}") from error
     modes = rasterizers.gsplat_modes(rasterizers.make_scene(SMALL, torch.device(device)))
     if not modes:
-        raise SystemExit("gsplat can't be imported, and no wheel of it was brought (scripts/gpu_pack.sh)")
+        raise SystemExit("gsplat cannot be imported, and its wheel was not packed (scripts/gpu_pack.sh)")
     for mode, render in modes.items():
         spent = rasterizers.time_once(render, torch.device(device))
-        print(f"{mode}: {sum(spent):.1f} ms for the first time", flush=True)
+        print(f"{mode}: {sum(spent):.1f} ms for the first run", flush=True)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ LOADS = (sys.executable, "-c", "import mgsr.native.runtime")
 def main() -> None:
     args = parser(__doc__).parse_args()
     if subprocess.run(LOADS, stderr=subprocess.DEVNULL, check=False).returncode == 0:
-        print("the CPU kernels are there")
+        print("the CPU kernels exist")
         return
     started_at, folder = time.perf_counter(), str(work_of(args) / "cmake")
     configure = ["cmake", "-S", ".", "-B", folder, "-G", "Ninja", "-DCMAKE_BUILD_TYPE=Release"]

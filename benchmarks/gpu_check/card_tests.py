@@ -24,8 +24,8 @@ class Outcomes:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--device", default="cuda", help="cpu runs the tests without asking for a card")
-    parser.add_argument("words", nargs="+", help="for pytest, after --")
+    parser.add_argument("--device", default="cuda", help="cpu runs the tests without a card")
+    parser.add_argument("words", nargs="+", help="arguments for pytest, after --")
     args = parser.parse_args()
     require_card(args.device)
     outcomes = Outcomes()

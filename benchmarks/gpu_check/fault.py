@@ -61,9 +61,9 @@ def judge(code: int | None, error: str) -> str | None:
     if code is None:
         return "the training did not end by itself"
     if code == 0:
-        return "the training ended as if nothing had happened"
+        return "the training ended without an error"
     if "Traceback" in error or code != REFUSED:
-        return f"exit code {code} and {len(error.splitlines())} lines, where exit code {REFUSED} and a message belong"
+        return f"exit code {code} and {len(error.splitlines())} lines, expected exit code {REFUSED} and a message"
     return None
 
 
@@ -82,7 +82,7 @@ def main() -> None:
     print(f"exit code {code}\n{error}", flush=True)
     results_of(args).row(step="illegal-address", code=code, error=error[-4000:])
     seen = [line for line in error.splitlines() if line.strip()] or ["nothing"]
-    tell(f"a person sees ({len(seen)} lines): {seen[-1][:300]}")
+    tell(f"the user sees ({len(seen)} lines): {seen[-1][:300]}")
     wrong = judge(code, error)
     if wrong is not None:
         raise SystemExit(wrong)

@@ -38,7 +38,7 @@ def main() -> None:
     require_card(args.device)
     program = shutil.which("ncu")
     if program is None:
-        raise SystemExit("ncu is not installed; SKIP leaves it out")
+        raise SystemExit("ncu is not installed; skip the step with SKIP")
     words = [program, "--profile-from-start", "off", "--clock-control", "none", "--kernel-name-base", "function"]
     words += ["--kernel-name", WATCHED, *(word for section in SECTIONS for word in ("--section", section))]
     words += [sys.executable, "-m", "benchmarks.gpu_check.counted_kernels"]

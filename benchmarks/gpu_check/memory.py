@@ -122,7 +122,7 @@ def verdict(outcomes: Sequence[Outcome]) -> str | None:
     if bad:
         return f"with {bad[0].share:.2f} of its memory: {bad[0].state}, {bad[0].detail}"
     if not any(outcome.state == "same" and outcome.share < 1 for outcome in outcomes):
-        return "no rendering with less memory than it takes was rendered: bands did not help"
+        return "no rendering succeeded with too little memory, so bands did not help"
     return None
 
 
@@ -145,7 +145,7 @@ def main() -> None:
     args = parser(__doc__).parse_args()
     require_card(args.device)
     if args.device != "cuda":
-        raise SystemExit("memory: this step is about a card's")
+        raise SystemExit("memory: this step needs a card")
     results, memory, wrong = results_of(args), CardMemory(), list[str]()
     for size in SIZES:
         scene = make_scene(size, torch.device("cuda"))
@@ -156,7 +156,10 @@ def main() -> None:
             _, peak = memory.peak_of(go)
             spent = time.perf_counter() - started_at
             results.row(step="memory", size=size, mode=mode, peak_mib=peak / 2**20, seconds=spent)
-            tell(f"{size} {mode}: at most {peak / 2**20:.0f} MiB beside the splats, {spent * 1e3:.0f} ms with copies")
+            tell(
+                f"{size} {mode}: at most {peak / 2**20:.0f} MiB in addition to the splats, {spent * 1000.0:.0f} ms "
+                "with copies"
+            )
         del scene, go
     scene = make_scene(STARVED, torch.device("cuda"))
     for mode in MODES:

@@ -97,7 +97,7 @@ def packed_scene(place: Place, name: str) -> Path:
     files = [file for each in place.brought for file in ([each] if each.is_file() else sorted(each.glob("*.npz")))]
     found = next((file for file in files if file.stem == name), None)
     if found is None:
-        raise LeftOutError(f"no {name}.npz was brought (scripts/gpu_pack.sh)")
+        raise LeftOutError(f"{name}.npz was not packed (scripts/gpu_pack.sh)")
     return found
 
 
@@ -117,7 +117,7 @@ def _memcheck(family: str) -> Callable[[Place], list[str]]:
     def command(place: Place) -> list[str]:
         sanitizer = shutil.which("compute-sanitizer")
         if sanitizer is None:
-            raise FileNotFoundError("compute-sanitizer is not installed; SKIP leaves it out")
+            raise FileNotFoundError("compute-sanitizer is not installed; skip the step with SKIP")
         tested = _tests(f"tests/cuda/test_{family}.py", "-x", "-k", "cuda] and not reference")(place)
         words = [sanitizer, "--tool", "memcheck", "--error-exitcode", "9", "--target-processes", "all"]
         # cuda-bindings asks the driver for functions that it may lack, which is no error.
@@ -135,9 +135,9 @@ def _benchmark(beside: bool) -> Callable[[Place], list[str]]:
     def command(place: Place) -> list[str]:
         built, done = _built_gsplat(place), place.work / "measured_beside_gsplat"
         if beside and built is None:
-            raise LeftOutError("gsplat is not there")
+            raise LeftOutError("gsplat is missing")
         if beside and done.exists():
-            raise LeftOutError("the benchmark had gsplat beside it")
+            raise LeftOutError("the benchmark already included gsplat")
         done.unlink(missing_ok=True)
         if built is not None:
             done.touch()
@@ -157,7 +157,7 @@ def _profile(place: Place) -> list[str]:
 def _build_gsplat(name: str, limit: float, behind: bool = False) -> Step:
     def command(place: Place) -> list[str]:
         if _built_gsplat(place) is not None:
-            raise LeftOutError("it is there")
+            raise LeftOutError("gsplat exists")
         wheel = find_wheel(place.brought, "gsplat")
         return [*_module(place, "build_gsplat"), *_standard(place), *([] if wheel is None else ["--wheel", str(wheel)])]
 

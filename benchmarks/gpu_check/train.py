@@ -59,10 +59,10 @@ def compare(facts: dict[str, Any], others: list[dict[str, Any]], name: str) -> N
     Raises SystemExit where it is not, or nothing can be said.
     """
     if not others:
-        raise SystemExit(f"{name} left no row to compare with")
+        raise SystemExit(f"{name} has no row to compare with")
     other = others[-1]
     if not (finished(facts) and finished(other)):
-        raise SystemExit("not compared: a training that its limit of time ended ends elsewhere each time")
+        raise SystemExit("not compared, because a training stopped by its time limit ends elsewhere each time")
     differing = [name for name in LEARNT if facts["sha256"].get(name) != other["sha256"].get(name)]
     if differing:
         raise SystemExit(f"NOT the same bytes as {name}: {', '.join(differing)}")

@@ -125,7 +125,7 @@ def _variant(word: str) -> Variant:
     if "=" in word:
         return Variant(word, tuple(word.split(",")))
     raise ConfigError(
-        f"--variant {word}: expected plain, key=value[,key=value], one of {', '.join(GROUPS)}, or a row: "
+        f"--variant {word}: expected plain, KEY=VALUE[,KEY=VALUE], one of {', '.join(GROUPS)}, or a row: "
         + ", ".join(rows)
     )
 

@@ -61,7 +61,7 @@ def write_plots(folder: Path, rows: Sequence[Row], curves: Sequence[Curve]) -> l
 def error_over_seconds(folder: Path, rows: Sequence[Row], curves: Sequence[Curve]) -> Path:
     """Plot the end points of runs, and the PSNR on the way there, in a column of panels for each scene."""
     scenes = _scenes(rows)
-    figure, panels = _panels(len(SCORES), len(scenes), "seconds, whole run")
+    figure, panels = _panels(len(SCORES), len(scenes), "seconds of the whole run")
     for column, scene in enumerate(scenes):
         for line, (score, label) in enumerate(SCORES):
             panel = panels[line][column]
@@ -98,7 +98,7 @@ def memory(folder: Path, rows: Sequence[Row]) -> Path:
     panel.set_yticks(range(len(known)), names)
     panel.invert_yaxis()
     panel.grid(axis="y", visible=False)
-    panel.set_xlabel("most memory held, MiB")
+    panel.set_xlabel("peak memory, MiB")
     return _save(figure, folder / "memory.svg", known)
 
 

@@ -97,7 +97,7 @@ def _wait(process: subprocess.Popen[bytes], stop: Callable[[], bool]) -> int:
 
 def _last_line(path: Path) -> str:
     lines = [line.strip() for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
-    return textwrap.shorten(lines[-1], MOST_SAID, placeholder=" ...") if lines else "it said nothing"
+    return textwrap.shorten(lines[-1], MOST_SAID, placeholder=" ...") if lines else "it printed nothing"
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -50,7 +50,7 @@ def evaluator_scores(evaluator: Path, scene: Path, folder: Path) -> dict[str, fl
         values = json.loads(kept.read_text())
     except ValueError as error:
         kept.unlink()
-        raise BrokenCell(f"{evaluator.name}: expected a last line of JSON, got something else ({error})") from error
+        raise BrokenCell(f"{evaluator.name}: the last line must be JSON, but it is not ({error})") from error
     return {
         name: None if values.get(key) is None else factor * values[key] for name, (_, _, key, factor) in NAMES.items()
     }
@@ -62,7 +62,9 @@ def _evaluate(evaluator: Path, scene: Path, folder: Path) -> str:
     asked = subprocess.run(command, capture_output=True, text=True)
     if asked.returncode != 0:
         said = asked.stderr.strip().splitlines()
-        raise BrokenCell(f"{evaluator.name}: exit code {asked.returncode}: {said[-1] if said else 'it said nothing'}")
+        raise BrokenCell(
+            f"{evaluator.name}: exit code {asked.returncode}: {said[-1] if said else 'it printed nothing'}"
+        )
     return (asked.stdout.strip().splitlines() or [""])[-1]
 
 

@@ -27,14 +27,17 @@ COLUMNS = (
 )
 WORDS = (
     "Chamfer is in thousandths of the object's radius, F at 0.5% of it, normal consistency (NC) times 100, the normal "
-    "error in degrees, split gain in dB; `others` is how many processors other programs kept busy meanwhile."
+    "error in degrees, split gain in dB; `others` is the number of processors that other programs kept busy."
 )
 
 
 def results_page(rows: Sequence[Row], command: str) -> str:
     """Return the page: the measurements with their commands and machines, then the table, then the broken cells."""
     done = [row for row in rows if row.state == DONE]
-    parts = [f"Last changed by `{command}`. {WORDS} Each run's own command stands in runs.csv.", *_circumstances(done)]
+    parts = [
+        f"Last changed by `{command}`. {WORDS} The file runs.csv has the command of each run.",
+        *_circumstances(done),
+    ]
     parts.append(runs_table(done))
     parts += [f"Broken: {_name(row)}: {row.state.removeprefix('broken: ')}" for row in rows if row.state != DONE]
     return "\n\n".join(part for part in parts if part) + "\n"

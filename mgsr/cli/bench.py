@@ -16,28 +16,33 @@ if TYPE_CHECKING:
     from mgsr.bench.cells import Cell
     from mgsr.bench.matrix import Bench
 
-ScenesArgument = Annotated[list[Path], typer.Argument(metavar="SCENE...", help="Folders or archives of photographs.")]
-OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder of runs, table and plots.")]
-MethodsOption = Annotated[str, typer.Option(help="Comma-separated: mgsr, 2dgs, 3dgs.")]
-PresetsOption = Annotated[str, typer.Option(help="Comma-separated: draft, standard, high.")]
-DevicesOption = Annotated[str, typer.Option(help="Comma-separated: cpu, cuda.")]
-SeedsOption = Annotated[str, typer.Option(help="Comma-separated numbers.")]
+ScenesArgument = Annotated[
+    list[Path], typer.Argument(metavar="SCENE...", help="Folders or archives of posed photographs.")
+]
+OutOption = Annotated[
+    Path, typer.Option("--out", "-o", metavar="OUT", help="The folder for the runs, the table and the plots.")
+]
+MethodsOption = Annotated[str, typer.Option(help="The methods, separated by commas: mgsr, 2dgs, 3dgs.")]
+PresetsOption = Annotated[str, typer.Option(help="The presets, separated by commas: draft, standard, high.")]
+DevicesOption = Annotated[str, typer.Option(help="The devices, separated by commas: cpu, cuda.")]
+SeedsOption = Annotated[str, typer.Option(help="The seeds, separated by commas.")]
 VariantOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="plain, an ablation row (A to N), ablations (all of them), paper-choices, needs, or "
-        "KEY=VALUE[,KEY=VALUE]; may be repeated. Only plain runs without."
+        help="A variant: plain, an ablation row (A to N), ablations (all rows), paper-choices, needs, or "
+        "KEY=VALUE[,KEY=VALUE]. Repeat it for several. The default is plain."
     ),
 ]
 SettingsOption = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A setting of every run; may be repeated.")
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="A setting of every run. Repeat it for several settings."),
 ]
 EvaluateOption = Annotated[
-    Path | None, typer.Option(metavar="PATH", help="A script that scores the runs instead of their reports.")
+    Path | None, typer.Option(metavar="PATH", help="A script that scores the runs, in place of their reports.")
 ]
-KeepOption = Annotated[Path | None, typer.Option(metavar="FOLDER", help="A folder whose tables take the rows in too.")]
+KeepOption = Annotated[Path | None, typer.Option(metavar="FOLDER", help="A folder whose tables also receive the rows.")]
 AnyCommitOption = Annotated[
-    bool, typer.Option("--any-commit", help="Take finished runs of another commit of the program too.")
+    bool, typer.Option("--any-commit", help="Also accept finished runs of other commits of the program.")
 ]
 
 
@@ -56,8 +61,8 @@ def bench(
 ) -> None:
     """Run every SCENE with every method, preset, device, seed and variant, one after another.
 
-    Each runs in a process of its own, and OUT gets runs.csv, runs.md, curves.csv and plots. What is finished there
-    already is not run again; what fails is reported, and the rest goes on.
+    Each run has its own process. OUT receives runs.csv, runs.md, curves.csv and plots. Finished runs in OUT are not
+    repeated. A failed run is reported, and the others continue.
     """
     from mgsr.bench.cells import matrix, read_variants
     from mgsr.bench.machine import program_commit
@@ -75,7 +80,7 @@ def bench(
 
 
 def _run(cells: list[Cell], bench: Bench) -> int:
-    """Run the cells, and return the exit code: 0, 1 where a cell broke, 130 where it was stopped."""
+    """Run the cells, and return the exit code: 0, 1 if a cell broke, 130 if it was stopped."""
     from mgsr.bench.matrix import run_matrix
     from mgsr.bench.plots import have_matplotlib, write_plots
     from mgsr.bench.results import CURVES, DONE, RUNS, latest, read_curves, read_rows
@@ -85,14 +90,14 @@ def _run(cells: list[Cell], bench: Bench) -> int:
         with stop_on_signals() as stop:
             rows, _ = run_matrix(cells, bench, print, stop)
     except Stopped:
-        print("stopped; the same command goes on with the cell that was running", file=sys.stderr)
+        print("Stopped. The same command continues with the interrupted run.", file=sys.stderr)
         return INTERRUPTED
     if have_matplotlib():
         write_plots(bench.out, latest(read_rows(bench.out / RUNS)), read_curves(bench.out / CURVES))
     else:
-        print("no plots: matplotlib is not installed; pip install 'mgsr[bench]'")
+        print("No plots: matplotlib is not installed. Run pip install 'mgsr[bench]'.")
     broken = sum(row.state != DONE for row in rows)
-    print(f"{bench.out / RUNS}: {len(rows) - broken} of {len(rows)} cells have results")
+    print(f"{bench.out / RUNS}: {len(rows) - broken} of {len(rows)} runs have results")
     return 1 if broken else 0
 
 
@@ -102,5 +107,5 @@ def _words(text: str) -> list[str]:
 
 def _whole_number(word: str) -> int:
     if not word.isdigit():
-        raise ConfigError(f"--seeds: expected whole numbers with commas between them, got {word!r}")
+        raise ConfigError(f"--seeds: expected whole numbers separated by commas, got {word!r}")
     return int(word)

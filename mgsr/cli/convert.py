@@ -15,18 +15,20 @@ SourceArgument = Annotated[
     Path, typer.Argument(metavar="A", help="A mesh (.ply .glb .obj), splats (.ply .spz) or a scene.")
 ]
 TargetArgument = Annotated[
-    Path, typer.Argument(metavar="B", help="The new file, whose name tells the kind; a scene's new folder.")
+    Path, typer.Argument(metavar="B", help="The new file, whose extension sets its format; for a scene, a new folder.")
 ]
-ScaleOption = Annotated[float, typer.Option(help="Multiply all lengths, such as by 1000 from metres to millimetres.")]
+ScaleOption = Annotated[
+    float, typer.Option(help="Multiply all lengths by this, such as 1000 from metres to millimetres.")
+]
 UpOption = Annotated[
-    UpAxis | None, typer.Option(help="Which axis of a mesh's frame points up, where B is a .glb; y unless given.")
+    UpAxis | None, typer.Option(help="The axis of A's frame that points up, if B is a .glb file. The default is y.")
 ]
 
 
 def convert(source: SourceArgument, target: TargetArgument, scale: ScaleOption = 1.0, up: UpOption = None) -> None:
-    """Write the mesh or the splats of A as B: .ply, .glb, .obj; .ply, .compressed.ply, .spz.
+    """Convert A to B: a mesh (.ply, .glb, .obj), splats (.ply, .compressed.ply, .spz) or a scene.
 
-    A scene becomes a folder with undistorted photographs that COLMAP and nerfstudio read.
+    A scene becomes a folder with undistorted photographs, for COLMAP and nerfstudio.
     """
     with refusals():
         from mgsr.export.convert import convert as convert_file

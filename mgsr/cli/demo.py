@@ -13,7 +13,7 @@ from mgsr.errors import MgsrError
 
 EXAMPLE = Path("examples/glossy_knot")
 
-DemoOutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder of the results.")]
+DemoOutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder for the results.")]
 
 
 def demo(
@@ -22,7 +22,7 @@ def demo(
     device: DeviceOption = "auto",
     resume: ResumeOption = False,
 ) -> None:
-    """Reconstruct the example that comes with MGSR, a glossy knot under a flash, and say where the results lie."""
+    """Reconstruct the bundled example, a glossy knot under a flash, and print the paths of the results."""
     with refusals(resumes=True):
         scene = find_example()
     run(scene, out, preset=preset, device=device, resume=resume)
@@ -38,6 +38,6 @@ def find_example() -> Path:
         if (folder / EXAMPLE).is_dir():
             return folder / EXAMPLE
     raise MgsrError(
-        f"the example capture: expected {EXAMPLE} in {package} or {package.parent}; install MGSR again, or run a "
-        "capture of your own with `mgsr run`"
+        f"the example capture {EXAMPLE} is neither in {package} nor in {package.parent}; reinstall MGSR, or "
+        "reconstruct photographs of your own with `mgsr run`"
     )

@@ -36,7 +36,7 @@ from mgsr.config import make_config
 from mgsr.pipeline.stop_signals import stop_on_signals
 
 app = typer.Typer(
-    help="Photographs in, surface mesh and clean renders out.",
+    help="Turn photographs into a surface mesh and clean renders.",
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -50,7 +50,7 @@ app.command()(bench)
 
 @app.command()
 def info(scene: SceneArgument, settings: SetOption = None) -> None:
-    """Say what SCENE holds, after every check that a run makes before training."""
+    """Make every check that a run makes before training, and print the contents of SCENE."""
     with refusals():
         config = make_config(overrides=settings or [])
         from mgsr.data.find_cameras import facts_without_cameras
@@ -124,7 +124,7 @@ def train(
     resume: ResumeOption = False,
     settings: SetOption = None,
 ) -> None:
-    """Train the branches on SCENE and leave them in OUT as splats_2d.ply and splats_3d.ply."""
+    """Train the branches on SCENE, and write them to OUT as splats_2d.ply and splats_3d.ply."""
     with refusals(resumes=True):
         config = make_config(preset, method, seed, settings or [])
         from mgsr.pipeline.result_paths import LOG
@@ -149,7 +149,7 @@ def mesh(
     scale: ScaleOption = None,
     settings: SetOption = None,
 ) -> None:
-    """Extract mesh.ply and model.glb from the splats in OUT, with the preset's settings of the surface."""
+    """Extract mesh.ply and model.glb from the splats in OUT, with the preset's settings for the mesh."""
     with refusals():
         overrides = [*(settings or []), *output_overrides(faces, texture, obj, usdz, up, scale)]
         config = make_config(preset, overrides=overrides)
@@ -167,7 +167,7 @@ def render(
     as_scene: AsSceneOption = None,
     settings: SetOption = None,
 ) -> None:
-    """Render the test views of SCENE from the splats in OUT to OUT/renders/test."""
+    """Render the test views of SCENE from the splats in OUT, and write them to OUT/renders/test."""
     with refusals():
         config = make_config(overrides=settings or [])
         from mgsr.pipeline.result_paths import RENDERS
@@ -175,13 +175,13 @@ def render(
 
         rendered = render_again(scene, out, config, device, as_scene)
         if as_scene is not None:
-            print(f"{as_scene}: {len(rendered.train) + len(rendered.test)} views and their cameras")
+            print(f"{as_scene}: {len(rendered.train) + len(rendered.test)} views with their cameras")
         print(f"{out / RENDERS}: {len(rendered.test)} views")
 
 
 @app.command()
 def evaluate(scene: SceneArgument, out: OutOption, device: DeviceOption = "auto", settings: SetOption = None) -> None:
-    """Score the splats, and the mesh if it is there, of OUT against SCENE; JSON on the standard output."""
+    """Score the splats and any mesh in OUT against SCENE, and print the scores as JSON."""
     with refusals():
         config = make_config(overrides=settings or [])
         from mgsr.pipeline.single_steps import score_again

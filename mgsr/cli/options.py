@@ -21,21 +21,25 @@ REFUSED = 2
 SceneArgument = Annotated[
     Path, typer.Argument(metavar="SCENE", help="A folder or archive of photographs, or a video (docs/inputs.md).")
 ]
-OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder of the results.")]
-PresetOption = Annotated[str, typer.Option(help=f"How much work: {', '.join(PRESETS)}.", metavar="PRESET")]
-MethodOption = Annotated[str, typer.Option(help=f"Which branches: {', '.join(METHODS)}.", metavar="METHOD")]
-DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda (an NVIDIA card; docs/cuda.md).", metavar="DEVICE")]
-SeedOption = Annotated[int, typer.Option(help="The same seed gives the same bytes.", min=0)]
-ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in OUT, if there is one.")]
+OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder for the results.")]
+PresetOption = Annotated[str, typer.Option(help=f"The amount of work: {', '.join(PRESETS)}.", metavar="PRESET")]
+MethodOption = Annotated[str, typer.Option(help=f"The branches to train: {', '.join(METHODS)}.", metavar="METHOD")]
+DeviceOption = Annotated[
+    str, typer.Option(help="The processor: auto, cpu or cuda (an NVIDIA card; see docs/cuda.md).", metavar="DEVICE")
+]
+SeedOption = Annotated[int, typer.Option(help="The random seed. The same seed gives the same files.", min=0)]
+ResumeOption = Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint in OUT, if there is one.")]
 TimeBudgetOption = Annotated[
     float | None,
     typer.Option(
-        metavar="SECONDS", help="End near the best that so many seconds allow; takes the preset's place.", min=1
+        metavar="SECONDS",
+        help="The seconds that the whole run should take. MGSR then plans the settings in place of a preset.",
+        min=1,
     ),
 ]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting (docs/options.md); may be repeated."),
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting (see docs/options.md). Repeat it for several."),
 ]
 FacesOption = Annotated[
     int | None, typer.Option(metavar="FACES", help="Reduce model.glb to so many faces instead of 100,000.")
@@ -47,18 +51,18 @@ TextureOption = Annotated[
 ObjOption = Annotated[bool, typer.Option("--obj", help="Also write mesh.obj.")]
 UsdzOption = Annotated[bool, typer.Option("--usdz", help="Also write model.usdz (pip install 'mgsr[usd]').")]
 UpOption = Annotated[
-    Up | None, typer.Option(help="Which axis of the capture's frame points up; .glb files are turned to y.")
+    Up | None, typer.Option(help="The axis of the capture's frame that points up. It becomes y in .glb files.")
 ]
 ScaleOption = Annotated[
     float | None,
-    typer.Option(help="Multiply all lengths in the written files, such as by 1000 from metres to millimetres."),
+    typer.Option(help="Multiply all written lengths by this, such as 1000 from metres to millimetres."),
 ]
 AsSceneOption = Annotated[
     Path | None,
     typer.Option(
         "--as-scene",
         metavar="FOLDER",
-        help="Also write all views' renders and cameras, as COLMAP and nerfstudio read them.",
+        help="Also write renders and cameras of all views in formats of COLMAP and nerfstudio.",
     ),
 ]
 
@@ -83,11 +87,11 @@ def refusals(resumes: bool = False) -> Iterator[None]:
         with cleaned_up_after_signals():
             yield
     except Cancelled as stop:
-        _say(f"{stop}. To go on, give the same command with --resume.")
+        _say(f"{stop}. To continue, run the same command with --resume.")
         raise typer.Exit(INTERRUPTED) from None
     except KeyboardInterrupt:
-        kept = "; the last checkpoint is kept. To go on, give the same command with --resume." if resumes else ""
-        _say(f"stopped at once{kept}")
+        kept = ". The last checkpoint is kept. To continue, run the same command with --resume." if resumes else ""
+        _say(f"stopped immediately{kept}")
         raise typer.Exit(INTERRUPTED) from None
     except LostCardError as error:
         _say(f"error: {error}")
@@ -96,7 +100,7 @@ def refusals(resumes: bool = False) -> Iterator[None]:
         _say(f"error: {error}")
         raise typer.Exit(REFUSED) from None
     except OSError as error:
-        _say(f"error: {error}; look at the path, its rights and the free space")
+        _say(f"error: {error}; check the path, its permissions and the free disk space")
         raise typer.Exit(REFUSED) from None
 
 

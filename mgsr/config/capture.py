@@ -11,9 +11,12 @@ from mgsr.errors import ConfigError
 
 
 class Masks(StrEnum):
-    """What the masks beside photographs mean. auto: found out, and silhouettes are used where every view has one;
-    object: white is the object, and every view needs a mask; ignore: black is what to leave out, such as passers-by;
-    off: they are not used, and images with alpha are put on white."""
+    """What the masks of photographs mean.
+
+    auto: MGSR finds out, and uses silhouettes if every view has one. object: white is the object, and every view
+    needs a mask. ignore: black is left out, such as passers-by. off: masks are not used, and images with alpha are
+    put on white.
+    """
 
     AUTO = "auto"
     OBJECT = "object"
@@ -22,23 +25,31 @@ class Masks(StrEnum):
 
 
 class Flawed(StrEnum):
-    """keep: photographs that are much less sharp than their neighbours, and those whose poses contradict what they
-    show, are used; drop: they are left out."""
+    """How blurred photographs and contradictory poses are treated.
+
+    keep: all photographs are used. drop: photographs much less sharp than their neighbours are left out, and so are
+    those whose poses contradict what they show.
+    """
 
     KEEP = "keep"
     DROP = "drop"
 
 
 class Object(StrEnum):
-    """What is reconstructed of a capture without masks. auto: the object that stands in the middle, if there is a
-    single one, by masks that are found for it; else all that is seen. off: all that is seen."""
+    """What is reconstructed from a capture without masks.
+
+    auto: the single object in the middle, if MGSR finds one; otherwise everything in view. off: everything in view.
+    """
 
     AUTO = "auto"
     OFF = "off"
 
 
 class Exposure(StrEnum):
-    """auto: photographs whose exposures differ are brought to a common one; keep: they stay as they are."""
+    """How differing exposures are treated.
+
+    auto: photographs are brought to a common exposure. keep: they stay as they are.
+    """
 
     AUTO = "auto"
     KEEP = "keep"
@@ -51,16 +62,19 @@ class DataConfig:
     masks: Masks = Masks.AUTO
     exposure: Exposure = Exposure.AUTO
     object: Object = Object.AUTO
-    object_box: str | None = None  # x0,y0,z0,x1,y1,z1 in the capture's frame and unit: between these corners lies the
-    # object, of which masks are found then; none leaves it to `object`
+    # Two opposite corners x0,y0,z0,x1,y1,z1 of a box around the object, in the capture's frame and unit. MGSR finds
+    # masks of what lies in the box. none: `object` decides.
+    object_box: str | None = None
     flawed: Flawed = Flawed.KEEP
-    check: bool = True  # inspect photographs, cameras and masks before training (`mgsr check`)
-    confined: bool = False  # look for nothing outside the folder that is given; jobs of the service always do so
-    camera_per_image: bool = False  # where cameras are searched for: each photograph has a lens of its own, as after
-    # zooming or cropping; else the photographs of one camera share a lens
-    video_frames: int = 200  # at most so many frames of videos are used; their number depends on the motion
-    test_every: int = 8  # every n-th view is held out, where the files name no split
-    max_side: int = 1600  # pixels; larger photographs are reduced to this by area means, before the lens is undone
+    check: bool = True  # Photographs, cameras and masks are inspected before training, as by `mgsr check`.
+    confined: bool = False  # Files outside the given folder are not read. The service sets this for every job.
+    # Each photograph has a lens of its own when cameras are searched for, as after zooming or cropping. off: the
+    # photographs of one camera share a lens.
+    camera_per_image: bool = False
+    video_frames: int = 200  # The most frames of a video that are used. The motion decides their number.
+    test_every: int = 8  # Every n-th view is held out, unless the capture names a split.
+    # Larger photographs are reduced to this many pixels on the longer side, by area averaging before undistortion.
+    max_side: int = 1600
 
 
 def object_box(text: str | None) -> np.ndarray | None:

@@ -59,7 +59,7 @@ RENAMED: dict[str, str] = {
 def override_texts(overrides: Mapping[str, object] | Sequence[str]) -> list[str]:
     """Return overrides as ``key=value`` texts. Raises ConfigError for a single text in place of several."""
     if isinstance(overrides, str):
-        raise ConfigError(f"overrides: expected settings by name, or several key=value texts, got {overrides!r}")
+        raise ConfigError(f"overrides: expected a mapping of settings or a list of key=value texts, got {overrides!r}")
     if not isinstance(overrides, Mapping):
         return list(overrides)
     return [f"{key}={_text(value)}" for key, value in overrides.items()]
@@ -107,13 +107,13 @@ def _find_path(key: str, paths: list[str]) -> str:
     if len(hits) == 1:
         return hits[0]
     if hits:
-        raise ConfigError(f"option {key!r} is ambiguous: say one of {', '.join(hits)}")
+        raise ConfigError(f"option {key!r} is ambiguous: use one of {', '.join(hits)}")
     if (name := _renamed(key)) != key:
-        raise ConfigError(f"option {key!r} does not exist: write {name!r}")
+        raise ConfigError(f"option {key!r} does not exist: use {name!r}")
     # The first ones, which users set, are named before options of algorithms that are called the same.
     names = {".".join(path.split(".")[-len(parts) :]): path for path in reversed(paths)}
     near = [names[name] for name in difflib.get_close_matches(key, names, n=3, cutoff=0.5)]
-    hint = f"; did you mean {', '.join(near)}?" if near else f"; top sections are {', '.join(_sections(paths))}"
+    hint = f"; did you mean {', '.join(near)}?" if near else f"; the top sections are {', '.join(_sections(paths))}"
     raise ConfigError(f"option {key!r} does not exist{hint}")
 
 

@@ -12,13 +12,14 @@ from mgsr.config.train import TrainConfig
 
 @dataclass(frozen=True)
 class Config:
-    """One run."""
+    """All settings of one run."""
 
     preset: str = "standard"
     method: str = "mgsr"
     seed: int = 0
-    time_budget: float | None = None  # seconds near which the whole run ends; the settings that presets change, and the
-    # size of the photographs, are then planned for it; none is as long as it takes
+    # The seconds that the whole run should take. MGSR then plans the settings that presets change and the size of the
+    # photographs. none: no limit.
+    time_budget: float | None = None
     data: DataConfig = field(default_factory=DataConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
@@ -26,8 +27,8 @@ class Config:
     expert: ExpertConfig = field(default_factory=ExpertConfig)
 
 
-# What each preset changes; times are for 48 views at 256 x 256 on two cores, with the meshing. Slow cores take up to
-# twice as long.
+# What each preset changes. Times are those of a whole run with 48 views of 256 x 256 pixels on two cores. Slow cores
+# take up to twice as long.
 PRESETS: dict[str, dict[str, str]] = {
     "draft": {  # 25 to 50 seconds
         "warmup.surfel_iterations": "250",
@@ -38,17 +39,17 @@ PRESETS: dict[str, dict[str, str]] = {
         "surfels.max_start": "9000",
         "surfels.start_scale": "0.5",
         "gaussians.max_start": "5000",
-        "gaussians.sh_degree": "1",  # to which model selection comes, where there is time for it
+        "gaussians.sh_degree": "1",  # model selection finds the same where there is time for it
         "surfels.densify.max_count": "10000",
         "gaussians.densify.unmasked_count": "8000",
-        "surfels.densify.prune_contribution": "0",  # so short a mutual phase does not mend what goes
+        "surfels.densify.prune_contribution": "0",  # a short mutual phase cannot repair the loss
         "gaussians.densify.prune_contribution": "0",
         "mesh.view_scale": "1.0",
         "mesh.poisson_depth": "7",
-        "mesh.max_light_residual": "none",  # the start is bent to the shading already, and little training follows
+        "mesh.max_light_residual": "none",  # the start is already refined by shading, and little training follows
     },
     "standard": {},  # two to three minutes
-    "high": {  # up to a fifth longer; training that lasts longer makes surfaces rougher, and renders hardly better
+    "high": {  # up to a fifth longer; longer training makes surfaces rougher and renders hardly better
         "surfels.max_start": "32000",
         "surfels.densify.max_count": "40000",
         "gaussians.max_start": "20000",

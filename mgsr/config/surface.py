@@ -7,14 +7,20 @@ from enum import StrEnum
 
 
 class Extractor(StrEnum):
-    """poisson: screened Poisson on oriented points; tsdf: fusion of depth maps (the paper's)."""
+    """How the mesh is extracted.
+
+    poisson: screened Poisson reconstruction from oriented points. tsdf: fusion of depth maps, as in the paper.
+    """
 
     POISSON = "poisson"
     TSDF = "tsdf"
 
 
 class MeshColor(StrEnum):
-    """The mesh's vertex colours: transmitted, without the highlights; full, the mean of all that the views show."""
+    """What the vertex colours show.
+
+    transmitted: the object's own colour, without highlights. full: the mean of all that the views show.
+    """
 
     TRANSMITTED = "transmitted"
     FULL = "full"
@@ -22,46 +28,61 @@ class MeshColor(StrEnum):
 
 @dataclass(frozen=True)
 class MeshConfig:
-    """How the surface is taken from the 2D branch. A footprint is what a pixel of the rendered views covers there."""
+    """How the surface is extracted from the 2D branch and refined.
+
+    A footprint is the size of a rendered pixel on the surface.
+    """
 
     extractor: Extractor = Extractor.POISSON
-    view_scale: float = 2.0  # size of the rendered views against the photographs
-    max_pixels: int = 16_000_000  # of all rendered views together; they are made smaller to keep to it
-    extra_views: int = 0  # views rendered halfway between training views
-    min_alpha: float = 0.5  # pixels under it show no surface
-    min_cos: float = 0.3  # pixels seen at a more grazing angle are dropped
-    max_jump: float | None = 3.0  # footprints off a neighbour's plane at which a pixel counts as blended; none is off
-    radius: float | None = 1.25  # what lies farther from the scene's centre is dropped; none is off
-    consistency: float | None = 3.0  # footprints in front of another view's surface that are forgiven; none is off
-    hull_margin: float | None = 1.0  # pixels outside a photograph's silhouette that are forgiven; none is off
-    hull_reach: float = 4.0  # footprints that vertices are pulled into the silhouettes at most; others are cut off
-    silhouette_smoothing: float | None = 1.0  # pixels over which corrections of the contours spread; none is off
-    poisson_depth: int = 8  # of the octree; its finest cell is 1.1 / 2^depth of the object's longest side
-    cell: float = 0.6  # octree cells in which points are averaged into one
-    trim: float = 3.0  # octree cells from the nearest point at which Poisson's surface is cut
-    max_light_residual: float | None = 0.85  # shading refines the mesh where a flash on the camera, or an environment
-    # map, leaves at most this share of the residual that one brightness a point leaves; none is off, for photometric
-    # refinement too
-    photometric_reach: float | None = 8.0  # pixels over which photometric refinement spreads a displacement, where
-    # shading is looked at and masks hold the silhouettes; none is off
-    photometric_residual: float | None = 0.022  # sRGB 0..1; where photographs under a flash differ by more about a
-    # place, beyond what a surface that is 0.7 pixels off explains, it is left open; none, or close_holes, keeps all
-    regression_angle: float | None = 4.0  # degrees; local regression takes normals that differ by less within a few
-    # pixels for waves, by much more for a crease, unless a flash has fixed them; none and 0 are off
-    bilateral_angle: float | None = 17.0  # degrees; the bilateral filter takes normals of neighbouring facets that
-    # differ by less for noise, by much more for a crease; none and 0 are off
-    voxel: float = 2.0  # footprints in a voxel of the TSDF
-    truncation: float = 3.0  # voxels before and behind the surface that the TSDF reaches
-    min_weight: float = 2.0  # views in which a voxel of the TSDF must be seen
-    min_piece: float = 0.01  # connected pieces under this share of the area are dropped
-    close_holes: bool = False  # keep what Poisson invents where nothing was seen
-    max_faces: int | None = None  # decimate to this many; none is off
+    view_scale: float = 2.0  # The size of the rendered views, relative to the photographs.
+    # The most pixels of all rendered views together. Views are made smaller to stay below it.
+    max_pixels: int = 16_000_000
+    extra_views: int = 0  # The number of additional views, rendered halfway between training views.
+    min_alpha: float = 0.5  # Pixels with an alpha below this show no surface.
+    min_cos: float = 0.3  # Pixels are dropped if normal and line of sight have a cosine below this.
+    # A pixel more than this many footprints off a neighbour's plane counts as blended and is dropped. none: off.
+    max_jump: float | None = 3.0
+    radius: float | None = 1.25  # Points farther than this from the scene's centre are dropped. none: off.
+    # Points more than this many footprints in front of another view's surface are dropped. none: off.
+    consistency: float | None = 3.0
+    hull_margin: float | None = 1.0  # Points more than this many pixels outside a silhouette are dropped. none: off.
+    # Vertices are pulled into the silhouettes by at most this many footprints. Others are cut off.
+    hull_reach: float = 4.0
+    # Silhouette corrections are smoothed over this many pixels. none: no correction.
+    silhouette_smoothing: float | None = 1.0
+    poisson_depth: int = 8  # The depth of the octree. Its finest cell is 1.1 / 2^depth of the object's longest side.
+    cell: float = 0.6  # The size of the cells in which points are averaged, in octree cells.
+    trim: float = 3.0  # Poisson's surface is cut off this far from the nearest point, in octree cells.
+    # Shading refines the mesh if a flash or an environment map leaves at most this share of the residual that constant
+    # brightness leaves. none: neither shape from shading nor photometric refinement.
+    max_light_residual: float | None = 0.85
+    # Photometric refinement smooths displacements over this many pixels. It needs masks and max_light_residual.
+    # none: off.
+    photometric_reach: float | None = 8.0
+    # Patches are removed if photographs under a flash differ by more than this (sRGB 0..1), beyond what a surface
+    # error of 0.7 pixels explains. none or close_holes: off.
+    photometric_residual: float | None = 0.022
+    # Local regression smooths vertex normals that differ by fewer degrees than this within a few pixels, and keeps
+    # sharper creases. It is skipped if a flash has fixed the normals. none or 0: off.
+    regression_angle: float | None = 4.0
+    # The bilateral filter smooths normals of neighbouring faces that differ by fewer degrees than this, and keeps
+    # sharper creases. none or 0: off.
+    bilateral_angle: float | None = 17.0
+    voxel: float = 2.0  # The size of a TSDF voxel, in footprints.
+    truncation: float = 3.0  # The truncation distance of the TSDF, in voxels.
+    min_weight: float = 2.0  # TSDF voxels that fewer views than this see stay empty.
+    min_piece: float = 0.01  # Connected pieces with less than this share of the area are dropped.
+    # The mesh keeps the surface that Poisson reconstruction adds where no view shows one.
+    close_holes: bool = False
+    max_faces: int | None = None  # The mesh is decimated to this many faces. none: off.
     color: MeshColor = MeshColor.TRANSMITTED
 
 
 class Up(StrEnum):
-    """Which axis of the capture's frame points up: y, z, -y, -z, or auto, what most photographs have as their upper
-    side. .glb files are y up, and are turned to it."""
+    """The axis of the capture's frame that points up: y, z, -y or -z.
+
+    auto: the axis nearest to the upper side of most photographs. .glb files are turned to y.
+    """
 
     AUTO = "auto"
     Y = "y"
@@ -72,11 +93,13 @@ class Up(StrEnum):
 
 @dataclass(frozen=True)
 class OutputConfig:
-    """Which files are written, and in which unit and pose."""
+    """Which files are written, and in which unit and orientation."""
 
-    scale: float = 1.0  # what all lengths in the written files are multiplied with; 1 is the capture's own unit
+    scale: float = 1.0  # All written lengths are multiplied by this. 1: the capture's own unit.
     up: Up = Up.AUTO
-    obj: bool = False  # mesh.obj too
-    usdz: bool = False  # model.usdz too, for Apple's devices; needs the package usd-core
-    faces: int | None = 100_000  # decimate model.glb to this many, as its maps show the rest; none keeps all
-    texture: int | None = None  # texels along a side of model.glb's maps; none makes a texel as large as a pixel
+    obj: bool = False  # The file mesh.obj is written as well.
+    usdz: bool = False  # The file model.usdz is written as well, for Apple's devices. It needs the package usd-core.
+    # The textured model is decimated to this many faces, because its maps hold the detail. none: all faces.
+    faces: int | None = 100_000
+    # The side of the textured model's maps, in texels. none: a texel is as large as a pixel of the photographs.
+    texture: int | None = None

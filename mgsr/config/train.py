@@ -9,7 +9,7 @@ from mgsr.config.paper import PaperConfig
 
 
 class Branches(StrEnum):
-    """Which branches are trained. With one alone the mutual phase goes on with that branch's own loss."""
+    """Which branches are trained. A single branch continues with its own loss in the mutual phase."""
 
     BOTH = "both"
     SURFELS = "surfels"
@@ -17,8 +17,11 @@ class Branches(StrEnum):
 
 
 class Background(StrEnum):
-    """What lies behind the splats in training. auto: random where there are masks, else the colour of a plain backdrop
-    where photographs have one (outlines are then learned), and white."""
+    """What lies behind the splats in training.
+
+    auto: random colours if there are masks; otherwise the colour of a plain backdrop, with learned silhouettes;
+    otherwise white.
+    """
 
     AUTO = "auto"
     RANDOM = "random"
@@ -28,30 +31,35 @@ class Background(StrEnum):
 
 @dataclass(frozen=True)
 class RatesConfig:
-    """Learning rates, a step of Adam each. The position's decays exponentially over the whole run; the others stay for
-    a while, in which colours and shapes find their place, and decay then, which settles them.
+    """Learning rates of Adam.
 
-    The published rates are for 30,000 iterations; these are for some thousands."""
+    The rate of positions decays exponentially over the whole run. The other rates stay constant at first, while
+    colours and shapes settle roughly, and then decay. The published rates are for 30,000 iterations; these are for
+    some thousands.
+    """
 
-    position: float = 4e-4  # times the scene's extent, at the start; published 1.6e-4
-    position_end: float = 4e-6  # times the scene's extent, at the end; published 1.6e-6
-    sh: float = 1e-2  # the constant term of colour; published 2.5e-3
-    sh_rest: float = 4e-3  # the direction-dependent terms; published 1.25e-4
-    opacity: float = 5e-2
-    weight: float = 5e-2  # the reflection weight's logit
-    scale: float = 1e-2  # log-scale; published 5e-3
-    rotation: float = 4e-3  # published 1e-3
-    decay_from: float = 0.5  # fraction of the run after which the other rates begin to decay
-    final_factor: float = 0.1  # factor that they have reached at the end; published 1
-    beta1: float = 0.9
-    beta2: float = 0.999
-    eps: float = 1e-15
+    position: float = 4e-4  # The initial rate of positions, times the scene's extent. The published rate is 1.6e-4.
+    position_end: float = 4e-6  # The final rate of positions, times the scene's extent. The published rate is 1.6e-6.
+    sh: float = 1e-2  # The rate of the constant term of colour. The published rate is 2.5e-3.
+    sh_rest: float = 4e-3  # The rate of the direction-dependent terms of colour. The published rate is 1.25e-4.
+    opacity: float = 5e-2  # The rate of the opacities' logits.
+    weight: float = 5e-2  # The rate of the reflection weights' logits.
+    scale: float = 1e-2  # The rate of the log-scales. The published rate is 5e-3.
+    rotation: float = 4e-3  # The rate of the quaternions. The published rate is 1e-3.
+    decay_from: float = 0.5  # The fraction of the run after which the other rates decay.
+    final_factor: float = 0.1  # The factor that the other rates reach at the end. The published factor is 1.
+    beta1: float = 0.9  # Adam's decay of the mean gradient.
+    beta2: float = 0.999  # Adam's decay of the mean squared gradient.
+    eps: float = 1e-15  # Adam's term against division by zero.
 
 
 class Growth(StrEnum):
-    """What tells where Gaussians are added. gradient: those with a large screen-space gradient are cloned or split.
-    error: new ones where renderings differ visibly from the photographs, in scenes with masks; without masks the depth
-    of the background is too uncertain for that, and the gradient tells."""
+    """Where Gaussians are added.
+
+    gradient: Gaussians with a large screen-space gradient are cloned or split. error: new ones appear where renders
+    differ visibly from photographs. Scenes without masks always use the gradient, because the depth of their
+    background is too uncertain.
+    """
 
     GRADIENT = "gradient"
     ERROR = "error"
@@ -59,39 +67,47 @@ class Growth(StrEnum):
 
 @dataclass(frozen=True)
 class DensifyConfig:
-    """Clone, split and prune on the screen-space gradient (3DGS, section 5)."""
+    """Clone, split and prune splats by the screen-space gradient (3DGS, section 5)."""
 
-    gradient_threshold: float = 2e-4  # mean gradient of the loss per half image side (so independent of image size)
-    every: int = 100  # iterations
-    start: float = 0.05  # fraction of the warm-up
-    stop: float = 0.75  # fraction of the warm-up
-    mutual_stop: float = 0.0  # fraction of the mutual phase; 0 is never in it
-    reset_every: int | None = None  # iterations between opacity resets (a multiple of `every`); none is never
-    reset_opacity: float = 0.01  # a reset lowers opacities to this
-    prune_opacity: float = 0.05  # splats under this go
-    split_above: float = 0.01  # splats longer than this times the extent are split, shorter ones cloned
-    split_shrink: float = 1.6  # a split divides the scales by this
-    prune_above: float = 0.1  # splats longer than this times the extent go
-    max_count: int = 40_000  # splats; none are added beyond them
-    prune_contribution: float = 0.06  # share of all contributions; splats that together contribute less go after the
-    # warm-up; masked scenes only: in others a few huge ones in the background contribute most
+    # Splats whose mean gradient of the loss exceeds this are cloned or split. The gradient is per half image side, so
+    # that it does not depend on the image size.
+    gradient_threshold: float = 2e-4
+    every: int = 100  # Iterations between two rounds.
+    start: float = 0.05  # The fraction of the warm-up after which densification begins.
+    stop: float = 0.75  # The fraction of the warm-up after which densification ends.
+    # The fraction of the mutual phase after which densification ends there. 0: none in the mutual phase.
+    mutual_stop: float = 0.0
+    reset_every: int | None = None  # Iterations between opacity resets, a multiple of `every`. none: never.
+    reset_opacity: float = 0.01  # A reset lowers opacities to this.
+    prune_opacity: float = 0.05  # Splats of lower opacity than this are pruned.
+    split_above: float = 0.01  # Splats longer than this times the extent are split. Shorter ones are cloned.
+    split_shrink: float = 1.6  # A split divides the scales by this.
+    prune_above: float = 0.1  # Splats longer than this times the extent are pruned.
+    max_count: int = 40_000  # No splats are added beyond this number.
+    # After the warm-up, the splats that contribute least are pruned: together this share of all contributions. Scenes
+    # without masks prune none, because a few huge background splats contribute most there.
+    prune_contribution: float = 0.06
 
 
 @dataclass(frozen=True)
 class GaussianDensifyConfig(DensifyConfig):
-    """How the 3D branch gains and loses Gaussians: as DensifyConfig says, or by the errors of its renderings."""
+    """How the 3D branch gains and loses Gaussians: as in DensifyConfig, or by the errors of its renders."""
 
     by: Growth = Growth.ERROR
-    tolerance: float = 0.04  # mean over 3 x 3 pixels of the difference, sRGB 0..1, from which it counts as visible
-    growth: float = 0.5  # largest share of the count that is added in one round
-    replace: float = 0.1  # largest share of the count that is replaced in one round: those that contribute least
-    growth_views: int = 8  # training views that are rendered in one round
-    new_opacity: float = 0.6  # of Gaussians that are added by errors
-    scale_rate: float = 2e-2  # learning rate of log-scales, in place of rates.scale, where errors tell
-    beta2: float = 0.99  # of Adam, in place of rates.beta2, where errors tell
-    unmasked_count: int = 20_000  # max_count where the gradient tells because there are no masks
-    prune_opacity: float = 0.005
-    max_count: int = 1_000_000
+    # A difference of colour is visible if its mean over 3 x 3 pixels exceeds this (sRGB 0..1).
+    tolerance: float = 0.04
+    growth: float = 0.5  # The largest share of the count that one round adds.
+    # The largest share of the count that one round replaces. The Gaussians that contribute least go.
+    replace: float = 0.1
+    growth_views: int = 8  # The number of training views that one round renders.
+    new_opacity: float = 0.6  # The opacity of Gaussians that errors add.
+    scale_rate: float = 2e-2  # The learning rate of log-scales with by=error, in place of rates.scale.
+    beta2: float = 0.99  # Adam's beta2 with by=error, in place of rates.beta2.
+    unmasked_count: int = 20_000  # max_count for scenes without masks, where the gradient decides.
+    prune_opacity: float = 0.005  # Gaussians of lower opacity than this are pruned.
+    max_count: int = 1_000_000  # No Gaussians are added beyond this number.
+    # After the warm-up, the Gaussians that contribute least are pruned: together this share of all contributions.
+    # Scenes without masks prune none.
     prune_contribution: float = 0.01
 
 
@@ -99,16 +115,21 @@ class GaussianDensifyConfig(DensifyConfig):
 class SurfelConfig:
     """The 2D branch: the surface."""
 
-    sh_degree: int = 2  # more lets colour explain what the shape should
-    max_start: int = 16_000  # splats; more starting points are thinned to this, by the seed
-    start_opacity: float = 0.9
-    start_scale: float = 0.4  # times the mean distance of the three nearest neighbours; wide disks stand off curves
-    normal_weight: float = 0.05  # lambda_3: rendered normal against the depth's, times normal_tv_weight too
-    normal_tv_weight: float = 1.0  # lambda_4
-    depth_tv_weight: float = 0.1  # lambda_5; the paper's 1 flattens and shrinks
-    alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
-    edge_band: int = 4  # pixels on either side of the mask's outline where this branch is not judged: there the soft
-    # edges of splats would be paid for by a smaller object
+    sh_degree: int = 2  # The SH degree of colour. With a higher one, colour explains what the shape should.
+    max_start: int = 16_000  # More starting points than this are thinned at random.
+    start_opacity: float = 0.9  # The initial opacity.
+    # The initial scale, times the mean distance of the three nearest neighbours. Wide disks stand off curved surfaces.
+    start_scale: float = 0.4
+    # The weight lambda_3 of the difference between rendered normals and the normals of the depth. It multiplies
+    # normal_tv_weight too.
+    normal_weight: float = 0.05
+    normal_tv_weight: float = 1.0  # The weight lambda_4 of the total variation of normals.
+    # The weight lambda_5 of the total variation of depth. The paper's 1 flattens and shrinks surfaces.
+    depth_tv_weight: float = 0.1
+    alpha_weight: float = 0.1  # The weight of the difference between alpha and mask, in scenes with masks.
+    # The loss of this branch leaves out this many pixels on either side of the mask's contour. There, soft edges of
+    # splats would make the object smaller.
+    edge_band: int = 4
     # Positions move slowly: from near the surface, faster ones drift behind it (by half a pixel on shiny scenes).
     rates: RatesConfig = field(
         default_factory=lambda: RatesConfig(position=5e-5, position_end=5e-6, sh_rest=2e-3, scale=5e-3)
@@ -117,10 +138,11 @@ class SurfelConfig:
 
 
 class Reflection(StrEnum):
-    """What the 3D branch adds to the transmitted light. auto: model selection decides (see ModelSelectionConfig).
+    """What the 3D branch adds to the transmitted light.
 
-    off: nothing (3DGS). own: each splat's reflected colour, times its weight (the paper's). shared: two maps, the same
-    for all splats, of the environment that the 2D branch's surface reflects. both: the maps added to the splats' own.
+    auto: model selection decides. off: nothing, as in 3DGS. own: each splat's reflected colour times its weight, as
+    in the paper. shared: two environment maps, which the surface of the 2D branch reflects. both: the maps and each
+    splat's own reflection.
     """
 
     AUTO = "auto"
@@ -135,17 +157,20 @@ class GaussianConfig:
     """The 3D branch: rendering and the light split."""
 
     reflection: Reflection = Reflection.AUTO
-    sh_degree: int = 2  # of the transmitted colour; low, so that it can't hold highlights (a flash needs 2 in sRGB)
-    reflected_sh_degree: int = 3
-    max_start: int = 10_000  # splats; more starting points are thinned to this, by the seed
-    start_opacity: float = 0.5
-    start_scale: float = 1.0  # times the mean distance of the three nearest neighbours
-    start_weight: float = 0.4  # beta; must lie inside (0, 1)
-    start_reflected: float = 0.05  # grey of the reflected colour, 0..1
-    low_pass: float = 0.05  # px^2 added to each footprint; 3DGS has 0.3, which blurs outlines and fits one image size
-    transmitted_tv_weight: float = 0.05  # lambda_2: 1 in the paper, 0.1 in the published program
-    reflected_cost: float = 0.15  # on the mean of W * C_ref: what the transmitted light can explain, it must
-    alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
+    # The SH degree of the transmitted colour. A low degree cannot hold highlights. A flash needs 2.
+    sh_degree: int = 2
+    reflected_sh_degree: int = 3  # The SH degree of the reflected colour.
+    max_start: int = 10_000  # More starting points than this are thinned at random.
+    start_opacity: float = 0.5  # The initial opacity.
+    start_scale: float = 1.0  # The initial scale, times the mean distance of the three nearest neighbours.
+    start_weight: float = 0.4  # The initial reflection weight beta, inside (0, 1).
+    start_reflected: float = 0.05  # The initial grey of the reflected colour, 0..1.
+    # Each footprint is widened by this many px^2. 3DGS has 0.3, which blurs contours and fits one image size.
+    low_pass: float = 0.05
+    # The weight lambda_2 of the total variation of the transmitted image. The paper has 1, the published program 0.1.
+    transmitted_tv_weight: float = 0.05
+    reflected_cost: float = 0.15  # The weight of the mean of W * C_ref. The transmitted light must explain what it can.
+    alpha_weight: float = 0.1  # The weight of the difference between alpha and mask, in scenes with masks.
     rates: RatesConfig = field(default_factory=RatesConfig)
     densify: GaussianDensifyConfig = field(default_factory=GaussianDensifyConfig)
 
@@ -154,68 +179,72 @@ class GaussianConfig:
 class EnvironmentMapConfig:
     """The environment maps that the surface reflects (see Reflection)."""
 
-    side: int = 64  # texels along a map's side
-    start: float = 0.007  # the maps' light, 0..1
-    rate: float = 0.03  # learning rate of the light's logits
-    decay_from: float = 0.5  # fraction of the run after which the rate begins to decay
-    final_factor: float = 0.1  # factor that it has reached at the end
-    smoothness: float = 0.05  # weight of the mean square of differences between neighbouring texels
-    iterations: int = 300  # of the 3D branch and the maps after the surface was made, which then reflects instead of
-    # the 2D branch; masked scenes only; 0 is never
-    weight_prior: float = 5e-7  # pull of each splat's reflection weight to its start
+    side: int = 64  # The side of a map, in texels.
+    start: float = 0.007  # The initial light of the maps, 0..1.
+    rate: float = 0.03  # The learning rate of the light's logits.
+    decay_from: float = 0.5  # The fraction of the run after which the rate decays.
+    final_factor: float = 0.1  # The factor that the rate reaches at the end.
+    smoothness: float = 0.05  # The weight of the mean squared difference between neighbouring texels.
+    # Iterations of the 3D branch and the maps after mesh extraction. The mesh then reflects in place of the 2D branch.
+    # They need masks. 0: none.
+    iterations: int = 300
+    weight_prior: float = 5e-7  # The weight that pulls each reflection weight to its initial value.
 
 
 @dataclass(frozen=True)
 class ModelSelectionConfig:
-    """The 3D branch warms up without any reflection. Then each of off and shared, or of off and own where no surface
-    reflects, goes on from there for a while, and off stays unless the other renders photographs kept from training
-    better; lower degrees of the transmitted colour's harmonics stay as long as they are no worse.
+    """How the kind of reflection is chosen.
 
-    Without iterations, or with too few photographs, the start decides: off where brightness does not change from view
-    to view as reflected light does, shared where it does, both where that is not known.
+    The 3D branch warms up without reflection. Two candidates continue from there: off, and shared (or own, where no
+    surface reflects). off stays unless the other renders held-out photographs better. Lower SH degrees of the
+    transmitted colour stay if they are no worse.
+
+    Without iterations, or with too few photographs, the start decides by how brightness changes between views:
+    shared if it changes as reflected light does, off if it does not, both if that is unknown.
     """
 
-    start: float = 0.5  # fraction of the 3D branch's warm-up that comes before
-    iterations: int = 150  # of each; 0 is no selection
-    views: int = 6  # training photographs kept from the warm-up until the selection is over; at most a quarter
-    gain: float = 0.1  # dB that a less simple one must render better
+    start: float = 0.5  # The fraction of the 3D branch's warm-up before the selection.
+    iterations: int = 150  # Iterations of each candidate. 0: no selection.
+    views: int = 6  # The number of training photographs held out until the selection ends, at most a quarter of all.
+    gain: float = 0.1  # The dB by which a less simple candidate must be better.
 
 
 @dataclass(frozen=True)
 class WarmupConfig:
-    """Each branch alone (supplement, Algorithm 1)."""
+    """The training of each branch alone (supplement, Algorithm 1)."""
 
-    surfel_iterations: int = 800  # at most
-    gaussian_iterations: int = 2000  # at most
-    coarse: float = 0.4  # fraction of the iterations on photographs of half the size; never those of model selection
-    coarse_side: int = 400  # pixels; photographs whose shorter side is smaller are not made smaller still
-    stop_after: float = 0.75  # fraction of the iterations before which no branch stops
-    epoch_span: int = 5  # epochs that are averaged and compared with as many before them
-    epoch_gain: float = 0.002  # relative fall of the loss under which a branch has converged
+    surfel_iterations: int = 800  # The most iterations of the 2D branch.
+    gaussian_iterations: int = 2000  # The most iterations of the 3D branch.
+    # The fraction of the iterations on photographs of half the size. It ends before model selection.
+    coarse: float = 0.4
+    coarse_side: int = 400  # Photographs are not halved if the shorter side of one has fewer pixels than this.
+    stop_after: float = 0.75  # The fraction of the iterations before which no branch stops.
+    epoch_span: int = 5  # The number of epochs that are averaged and compared with as many before them.
+    epoch_gain: float = 0.002  # A branch has converged if its mean loss falls by less than this share.
 
 
 @dataclass(frozen=True)
 class MutualConfig:
-    """Both branches teach each other (supplement, Algorithm 2)."""
+    """The phase in which both branches teach each other (supplement, Algorithm 2)."""
 
-    iterations: int = 1600
-    surfel_weight: float = 0.5  # of L_2D in the total
-    gaussian_weight: float = 0.5  # of L_3D in the total
-    depth_weight: float = 0.01  # of L_depth in the total
-    photo_weight: float = 0.3  # lambda_6: the photograph's share in the 2D branch's target; the rest is C_tran's
+    iterations: int = 1600  # Iterations of the mutual phase.
+    surfel_weight: float = 0.5  # The weight of L_2D in the total loss.
+    gaussian_weight: float = 0.5  # The weight of L_3D in the total loss.
+    depth_weight: float = 0.01  # The weight of L_depth in the total loss.
+    photo_weight: float = 0.3  # The photograph's share lambda_6 in the 2D branch's target. C_tran has the rest.
 
 
 @dataclass(frozen=True)
 class WatchConfig:
-    """How often the loop looks up from its work; none of it changes the result."""
+    """How often training reports, checks and saves. None of it changes the result."""
 
-    report_every: int = 50  # iterations between progress reports
-    curve_every: int = 250  # iterations between rows of the curve
-    curve_views: int = 2  # test views that the curve is measured on; they decide nothing
-    preview_every: int | None = None  # iterations between previews; none is never
-    check_every: int = 25  # iterations between looks back for parameters or a loss that went bad, which are undone
-    checkpoint_every: int = 1000  # iterations between checkpoints, where a path is given
-    checkpoint_seconds: float | None = None  # and at most so long between two; none is any time
+    report_every: int = 50  # Iterations between progress reports.
+    curve_every: int = 250  # Iterations between points of the training curve.
+    curve_views: int = 2  # The number of test views that the curve measures. They decide nothing.
+    preview_every: int | None = None  # Iterations between previews. none: never.
+    check_every: int = 25  # Iterations between checks of the parameters and the loss. Bad steps are undone.
+    checkpoint_every: int = 1000  # Iterations between checkpoints.
+    checkpoint_seconds: float | None = None  # The most seconds between two checkpoints. none: no limit.
 
 
 @dataclass(frozen=True)
@@ -223,13 +252,17 @@ class TrainConfig:
     """How the two branches are trained."""
 
     branches: Branches = Branches.BOTH
-    l1_weight: float = 0.8  # lambda_1 on L1; the rest is on 1 - SSIM
-    flash: bool = True  # where the start finds one, splats hold colours as under even light, which it then lights
+    l1_weight: float = 0.8  # The weight lambda_1 of L1. 1 - SSIM has the rest.
+    # If the start finds a flash, splats hold colours under even light, and MGSR shades them. off: they hold the
+    # colours of the photographs.
+    flash: bool = True
     background: Background = Background.AUTO
-    crop_margin: int | None = 16  # pixels around the mask's box that the photographic losses see; none is the image
-    clearance: float = 0.5  # share of the way from a training camera to the nearest starting points in which no splats
-    # may lie; scenes without masks only; 0 is none
-    sh_step: float = 0.02  # fraction of the warm-up between two rises of the SH degree
+    # The photographic losses see the mask's box and this many pixels around it. none: the whole image.
+    crop_margin: int | None = 16
+    # No splat may be nearer to a training camera than this share of the way to the nearest starting points, in scenes
+    # without masks. 0: off.
+    clearance: float = 0.5
+    sh_step: float = 0.02  # The fraction of the warm-up between two increases of the SH degree.
     warmup: WarmupConfig = field(default_factory=WarmupConfig)
     mutual: MutualConfig = field(default_factory=MutualConfig)
     surfels: SurfelConfig = field(default_factory=SurfelConfig)

@@ -18,7 +18,7 @@ def validate(config: Config) -> None:
     for path in field_types(config):
         value = value_at(config, path)
         if isinstance(value, (int, float)) and not 0 <= value < math.inf:
-            raise ConfigError(f"{path}: expected a finite number, 0 or more, got {value}")
+            raise ConfigError(f"{path}: expected a finite number of at least 0, got {value}")
     _validate_output(config.output)
     object_box(config.data.object_box)
     for path, degree in (
@@ -35,13 +35,11 @@ def validate(config: Config) -> None:
             raise ConfigError(f"train.{path}: expected a value between 0 and 1, got {value}")
     if train.branches is not Branches.BOTH and train.gaussians.reflection in (Reflection.SHARED, Reflection.BOTH):
         kind = train.gaussians.reflection
-        raise ConfigError(
-            f"train.gaussians.reflection={kind}: needs both branches, got train.branches={train.branches}"
-        )
+        raise ConfigError(f"train.gaussians.reflection={kind}needs both branches, got train.branches={train.branches}")
     if train.warmup.coarse > train.model_selection.start:
         raise ConfigError(
-            f"train.warmup.coarse: expected at most train.model_selection.start ({train.model_selection.start}), since "
-            f"model selection looks at whole photographs; got {train.warmup.coarse}"
+            f"train.warmup.coarse: expected at most train.model_selection.start ({train.model_selection.start}), "
+            f"because model selection uses photographs of full size; got {train.warmup.coarse}"
         )
     if train.model_selection.start > train.warmup.stop_after:
         raise ConfigError(
@@ -50,7 +48,7 @@ def validate(config: Config) -> None:
         )
     for path in field_types(config):
         if ".rates." in path and value_at(config, path) == 0:
-            raise ConfigError(f"{path}: expected more than 0, got 0; 1e-12 holds a parameter still")
+            raise ConfigError(f"{path}: expected more than 0, got 0; use 1e-12 to keep a parameter constant")
         if path == "time_budget" and value_at(config, path) == 0:
             raise ConfigError(f"{path}: expected more than 0 seconds, got 0")
         if path.endswith("prune_contribution") and value_at(config, path) >= 1:

@@ -96,7 +96,7 @@ def unpack(archive: Path, target: Path | None = None, limits: ArchiveLimits | No
     """
     folder = target or temporary_folder("mgsr-scene-") / archive_stem(archive)  # messages name a scene after its folder
     if folder.is_dir() and any(folder.iterdir()):
-        raise SceneError(f"{folder}: expected an empty folder to unpack {archive.name} to; name another one")
+        raise SceneError(f"{folder}: expected an empty folder to unpack {archive.name} into; choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
     try:
         budget = _Budget(archive, limits or ArchiveLimits())
@@ -105,10 +105,10 @@ def unpack(archive: Path, target: Path | None = None, limits: ArchiveLimits | No
     except BaseException as error:
         shutil.rmtree(folder if target else folder.parent, ignore_errors=True)
         if target is None and isinstance(error, OSError) and error.errno in _NO_SPACE:
-            cure = "free space there, or set TMPDIR to a folder with more"
+            cure = "free some space there, or set TMPDIR to a folder with more"
             raise OSError(error.errno, f"{error.strerror}: {archive.name} unpacks to {folder}; {cure}") from error
         if _is_damage(error):
-            text = f"{archive.name}: damaged or not an archive: {in_short(error)}; make it again"
+            text = f"{archive.name}: the file is damaged or not an archive: {in_short(error)}; create it again"
             raise ArchiveError("archive_damaged", text) from error
         raise
     return folder
@@ -145,8 +145,8 @@ def _opened(budget: _Budget) -> Iterator[Iterator[_Member]]:
             yield _tar_members(archive, file)
         else:
             other = next((name for begin, name in _OTHERS.items() if head.startswith(begin)), None)
-            text = "expected a folder, or an archive: .zip, .tar, .tar.gz or .tar.zst"
-            text += f", got {other}: unpack it and pack its folder as .zip or .tar.gz" if other else ""
+            text = "expected a folder or an archive (.zip, .tar, .tar.gz or .tar.zst)"
+            text += f", got {other}; unpack it and archive its folder as .zip or .tar.gz" if other else ""
             raise ArchiveError("archive_unsupported", f"{archive.name}: {text}")
 
 
@@ -192,6 +192,7 @@ class _Zstd:
         self._stream = stream
 
     def read(self, count: int) -> bytes:
+        """Read at most `count` bytes. Raises EOFError for damaged data."""
         import zstandard
 
         try:
@@ -209,10 +210,11 @@ class _Gauge:
         self.left: float = _HEADER_BYTES
 
     def read(self, count: int) -> bytes:
+        """Read at most `count` bytes. Raises tarfile.ReadError for a header that is too long."""
         data: bytes = self._stream.read(count)
         self.left -= len(data)
         if self.left < 0:
-            raise tarfile.ReadError(f"a header of more than {_HEADER_BYTES} bytes")
+            raise tarfile.ReadError(f"a header exceeds {_HEADER_BYTES} bytes")
         return data
 
 
@@ -220,7 +222,7 @@ def _zip_members(archive: Path, opened: zipfile.ZipFile) -> Iterator[_Member]:
     for member in opened.infolist():
         kind = stat.S_IFMT(member.external_attr >> 16)
         if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-            raise _refused(archive, member.filename, "is a link or a special file; put the file in")
+            raise _refused(archive, member.filename, "is a link or a special file; archive the file itself")
         if member.flag_bits & 1:
             raise _refused(archive, member.filename, "is encrypted; archive it without a password")
         # zipfile cuts names at a NUL byte; the rest was meant for another reader.
@@ -228,7 +230,7 @@ def _zip_members(archive: Path, opened: zipfile.ZipFile) -> Iterator[_Member]:
             raise _refused(archive, member.orig_filename, "has control characters in its name; rename it")
         if member.compress_type not in _METHODS:
             method = f"{member.compress_type} ({_METHOD_NAMES.get(member.compress_type, 'unknown')})"
-            text = f"is packed by method {method}, which is not read; pack by Deflate, or as .tar.gz"
+            text = f"uses compression method {method}, which MGSR does not read; use Deflate, or create a .tar.gz"
             raise _refused(archive, member.filename, text, "archive_unsupported")
         yield _Member(member.filename, None if member.is_dir() else lambda member=member: opened.open(member))  # type: ignore[misc]
 
@@ -244,7 +246,9 @@ def _tar_members(archive: Path, stream: Any) -> Iterator[_Member]:
                 gauge.left = float("inf")
                 yield _Member(member.name, lambda member=member: opened.extractfile(member))  # type: ignore[misc]
             else:
-                text = "is a link or a special file; put the file in (GNU tar: --dereference --hard-dereference)"
+                text = (
+                    "is a link or a special file; archive the file itself (GNU tar: --dereference --hard-dereference)"
+                )
                 raise _refused(archive, member.name, text)
             gauge.left = _HEADER_BYTES
 
@@ -262,7 +266,9 @@ def _write_all(budget: _Budget, members: Iterator[_Member], folder: Path) -> Non
             continue
         other = taken.setdefault(str(place).casefold(), member.name)
         if other is not member.name:
-            raise _refused(archive, member.name, f"has the name of {other!r}, or differs in case only; rename one")
+            raise _refused(
+                archive, member.name, f"has the same name as {other!r}, except perhaps for case; rename one of them"
+            )
         _write(budget, member, folder / place)
 
 
@@ -270,7 +276,7 @@ def _checked_place(archive: Path, text: str) -> PurePosixPath:
     name = text.replace("\\", "/")
     place = PurePosixPath(name)
     if place.is_absolute() or ".." in place.parts or (place.parts and ":" in place.parts[0]):
-        raise _refused(archive, text, "points outside the archive; refused")
+        raise _refused(archive, text, "points outside the archive; rename it")
     if len(name) > _LONGEST_PATH or any(len(os.fsencode(part)) > _LONGEST_NAME for part in place.parts):
         raise _refused(archive, text[:80], f"has a name longer than {_LONGEST_NAME} bytes; rename it")
     if any(unicodedata.category(letter) == "Cc" for letter in name):
@@ -288,22 +294,24 @@ class _Budget:
     def check_declared(self, count: int) -> None:
         """Raise ArchiveError if the archive declares too many members, before their names are read."""
         if count > (most := self._limits.members):
-            text = f"{self.archive.name}: {count} files; at most {most} are taken: put fewer in"
+            text = f"{self.archive.name}: {count} files, but at most {most} are allowed; archive fewer files"
             raise ArchiveError("archive_too_many_members", text)
 
     def count_member(self, name: str) -> None:
+        """Count a member. Raises ArchiveError if there are too many."""
         self._members += 1
         if self._members > (most := self._limits.members):
-            text = f"is one too many: at most {most} files are taken"
+            text = f"exceeds the limit of {most} files; archive fewer files"
             raise _refused(self.archive, name, text, "archive_too_many_members")
 
     def count_bytes(self, name: str, count: int) -> None:
+        """Count unpacked bytes of a member. Raises ArchiveError beyond the limits of size and ratio."""
         self._bytes += count
         if self._bytes > (most := self._limits.unpacked):
-            text = f"makes it unpack to more than {most} bytes, the limit"
+            text = f"would exceed the limit of {most} unpacked bytes; use fewer or smaller files"
             raise _refused(self.archive, name, text, "archive_too_large")
         if self._bytes > RATIO_FROM and self._bytes > (ratio := self._limits.ratio) * self._packed:
-            text = f"makes it unpack to over {ratio:g} times its size, the limit"
+            text = f"would unpack to over {ratio:g} times the archive's size, which is the limit"
             raise _refused(self.archive, name, text, "archive_ratio")
 
 
@@ -311,11 +319,11 @@ def _make_folder(archive: Path, name: str, place: Path) -> None:
     try:
         place.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
-        raise _refused(archive, name, "is a folder and a file; rename one") from error
+        raise _refused(archive, name, "is both a folder and a file; rename one of them") from error
 
 
 def _write(budget: _Budget, member: _Member, place: Path) -> None:
-    assert member.open is not None, "folders have nothing to write"
+    assert member.open is not None, "folders have no content to write"
     archive = budget.archive
     _make_folder(archive, member.name, place.parent)
     try:
@@ -324,10 +332,10 @@ def _write(budget: _Budget, member: _Member, place: Path) -> None:
                 budget.count_bytes(member.name, len(chunk))
                 sink.write(chunk)
     except FileExistsError as error:
-        raise _refused(archive, member.name, "is a folder and a file; rename one") from error
+        raise _refused(archive, member.name, "is both a folder and a file; rename one of them") from error
     except Exception as error:
         if _is_damage(error):
-            raise _refused(archive, member.name, f"can't be unpacked: {in_short(error)}", "archive_damaged") from error
+            raise _refused(archive, member.name, f"cannot be unpacked: {in_short(error)}", "archive_damaged") from error
         raise
 
 

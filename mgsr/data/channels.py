@@ -48,8 +48,8 @@ def find_channels(handle: Any, name: str, source: str) -> Channels:
         known += names
         part += 1
     raise SceneError(
-        f"{name}: expected channels R, G, B (and A) or Y, got {in_short(', '.join(known))} (asked for by {source}); "
-        "save the photograph's layer alone"
+        f"{name}: expected channels R, G, B (and A) or Y, got {in_short(', '.join(known))} (named by {source}); save "
+        "only the photograph's layer"
     )
 
 

@@ -26,13 +26,13 @@ def note_of_few_views(views: Sequence[View], center: np.ndarray, masked: bool) -
     alone = np.mean(_angles_to_nearest(views, center) > STEREO_ANGLE)
     if alone >= 0.5 and not masked:
         return (
-            f"too few photographs: half or more of the {count} training photographs have no other within "
-            f"{STEREO_ANGLE:.0f} degrees, so that nothing tells depth and the surface is a guess; take 20 or more that "
+            f"too few photographs: at least half of the {count} training photographs have no neighbour within "
+            f"{STEREO_ANGLE:.0f} degrees, so depth is uncertain and the surface is a guess; take at least 20 that "
             "overlap"
         )
     if count < FEW:
-        rough = "the surface is little more than what the silhouettes allow" if masked else "the surface is rough"
-        return f"too few photographs: with {count} training photographs {rough}; take 20 or more that overlap"
+        rough = "the surface is hardly better than the visual hull" if masked else "the surface is rough"
+        return f"too few photographs: with {count} training photographs, {rough}; take at least 20 that overlap"
     return None
 
 

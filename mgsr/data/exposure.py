@@ -28,6 +28,7 @@ def evened(scene: Scene, exposures: Exposures) -> Scene:
     pixels = PixelStore()
 
     def at_common(view: View, factor: np.ndarray) -> View:
+        """Return the view at the common exposure, by its factor [3], with the image in the store."""
         there = at_common_exposure(view, factor)
         return view if there is view else replace(there, image=pixels.hold(there.image))
 

@@ -56,11 +56,11 @@ def read_json(path: Path) -> Any:
             json.dumps(content, ensure_ascii=False).encode()
         return content
     except json.JSONDecodeError as error:
-        raise SceneError(f"{path.name}: not valid JSON at line {error.lineno}: {error.msg}; mend the file") from error
+        raise SceneError(f"{path.name}: not valid JSON at line {error.lineno}: {error.msg}; fix the file") from error
     except RecursionError as error:
-        raise SceneError(f"{path.name}: JSON nested too deep to be a capture; export it again") from error
+        raise SceneError(f"{path.name}: the JSON is nested too deeply for a capture; export it again") from error
     except (OSError, ValueError) as error:
-        raise SceneError(f"{path.name}: can't be read as JSON text: {in_short(error)}; export it again") from error
+        raise SceneError(f"{path.name}: this file is not JSON text: {in_short(error)}; export it again") from error
 
 
 def _parsed(text: str) -> Any:
@@ -77,7 +77,7 @@ def number(values: Mapping[str, Any], name: str, source: str) -> float:
     """Return values[name] as a float. Raises SceneError naming `source` for anything but a finite number."""
     value = values.get(name)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not _finite(value):
-        raise SceneError(f"{source}: {name}: expected a number, got {str(value)[:80]!r}; mend the file")
+        raise SceneError(f"{source}: {name}: expected a number, got {str(value)[:80]!r}; fix the file")
     return float(value)
 
 

@@ -66,7 +66,7 @@ def find_scene(folder: Path, given: Path, confined: bool = False) -> FoundScene:
         scenes = [path for path in level if _recognised(path, formats)]
         if len(scenes) > 1:
             names = ", ".join(str(path.relative_to(folder)) for path in scenes[:3])
-            raise SceneError(f"{given}: {len(scenes)} scenes in it ({names}); give one of them")
+            raise SceneError(f"{given}: it holds {len(scenes)} scenes ({names}); choose one of them")
         if scenes:
             return _found(SceneFolder(scenes[0], folder), formats, given)
     if given.is_dir() and not confined and (around := scene_around(folder)):
@@ -112,7 +112,7 @@ def _recognised(root: Path, formats: Sequence[Format]) -> list[tuple[Format, str
 def _found(folder: SceneFolder, formats: Sequence[Format], given: Path) -> FoundScene:
     (kind, file), *others = _recognised(folder.root, formats)
     left = " and ".join(f"{name} ({other.name})" for other, name in others)
-    notes = (f"read from {file} ({kind.name}); {left} in the same folder is not used",) if others else ()
+    notes = (f"the scene is read from {file} ({kind.name}); {left} in the same folder is ignored",) if others else ()
     return FoundScene(folder, kind, _name(folder), notes, given)
 
 
@@ -133,7 +133,7 @@ def scene_around(folder: Path) -> FoundScene | None:
     for outer in inner.parents[:_FARTHEST_AROUND]:
         found = _scene_with(outer, inner, formats)
         if found is not None:
-            note = f"{inner.name} is a part of the scene {found.name}, which is read"
+            note = f"{inner.name} is a part of the scene {found.name}, so {found.name} is read"
             return replace(found, notes=(note, *found.notes))
     return None
 
@@ -188,18 +188,18 @@ def _unknown(folder: Path, given: Path, formats: Sequence[Format], files: Sequen
     videos = [path.name for path in files if is_video_name(path)]
     raw = [path.name for path in files if path.suffix.lower() in RAW_SUFFIXES]
     if archives:
-        return SceneError(f"{given}: no known scene in it, but another archive, {archives[0]}: unpack that first")
+        return SceneError(f"{given}: it holds no known scene but another archive, {archives[0]}; unpack that first")
     if images:
         return SceneError(
-            f"{given}: {images} images, but no cameras; at least {FEWEST_PHOTOS} are needed to find cameras, 20 or "
-            f"more are good. Looked for: {looked}. See docs/inputs.md"
+            f"{given}: it holds {images} images but no cameras; at least {FEWEST_PHOTOS} are needed to find cameras, "
+            f"20 or more are good. MGSR looked for: {looked}. See docs/inputs.md"
         )
     if videos:
-        return SceneError(f"{given}: a video ({videos[0]}) of a kind that is not read; {VIDEO_CURE}")
+        return SceneError(f"{given}: it holds a video ({videos[0]}) of a kind that is not read; {VIDEO_CURE}")
     if raw:
-        return SceneError(f"{given}: raw photographs ({raw[0]}), which are not read; {RAW_CURE}")
-    state = "no known scene in it" if any(folder.iterdir()) else "the folder is empty"
-    return SceneError(f"{given}: {state}. Looked for: {looked}. See docs/inputs.md")
+        return SceneError(f"{given}: it holds raw photographs ({raw[0]}), which MGSR does not read; {RAW_CURE}")
+    state = "it holds no known scene" if any(folder.iterdir()) else "the folder is empty"
+    return SceneError(f"{given}: {state}. MGSR looked for: {looked}. See docs/inputs.md")
 
 
 def _files(folder: Path) -> list[Path]:

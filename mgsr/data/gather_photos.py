@@ -59,9 +59,7 @@ def find_photos(folder: Path, given: Path) -> list[Path]:
     """
     images = images_below(folder)
     if len(images) < FEWEST_PHOTOS:
-        text = (
-            f"{given}: {len(images)} images; at least {FEWEST_PHOTOS} are needed to find cameras, 20 or more are good"
-        )
+        text = f"{given}: it holds {len(images)} images, but at least {FEWEST_PHOTOS} are needed to find cameras; use 20 or more"
         raise SceneError("; ".join([text, *_bystanders(folder, images)]))
     return images
 
@@ -89,7 +87,7 @@ def gather(photos: Path, images: Sequence[Path], folder: Path, tell: Tell = lamb
             lost[name.as_posix()] = error
     if lost and (len(shots) < FEWEST_PHOTOS or len(shots) < _LEAST_READABLE * len(images)):
         first = next(iter(lost.values()))
-        raise SceneError(f"{len(lost)} of {len(images)} photographs can't be read; the first: {first}") from first
+        raise SceneError(f"{len(lost)} of {len(images)} photographs cannot be read; the first: {first}") from first
     notes = (*_notes_of_lost(lost, len(images)), *_bystanders(photos, images))
     return Gathered(tuple(shots), notes, originals)
 
@@ -99,7 +97,7 @@ def _notes_of_lost(lost: Mapping[str, SceneError], total: int) -> tuple[str, ...
         return ()
     names = ", ".join(list(lost)[:_MOST_NAMED]) + (", ..." if len(lost) > _MOST_NAMED else "")
     first = in_short(next(iter(lost.values())))
-    return (f"{len(lost)} of {total} photographs can't be read and are left out ({names}); the first: {first}",)
+    return (f"{len(lost)} of {total} photographs cannot be read and were skipped ({names}); the first: {first}",)
 
 
 def _hand_over(image: Path, name: Path, folder: Path, taken: set[str]) -> PhotoFile:
@@ -128,7 +126,7 @@ def _require_photo(image: Path) -> None:
     if odd := what_instead(image):
         raise SceneError(f"{image.name} {odd}")
     if is_heif(image) and not _has_heif_brand(image):
-        raise SceneError(f"{image.name} is a video and not a photograph; {VIDEO_ALONE}")
+        raise SceneError(f"{image.name} is a video, not a photograph; {VIDEO_ALONE}")
 
 
 def _has_heif_brand(image: Path) -> bool:
@@ -197,8 +195,8 @@ def _bystanders(folder: Path, images: Iterable[Path]) -> tuple[str, ...]:
 def _note_of(files: Sequence[Path], is_kind: Callable[[Path], bool], what: str, cure: str) -> tuple[str, ...]:
     found = [path for path in files if is_kind(path)]
     if len(found) == 1:
-        return (f"1 {what} ({found[0].name}) left out; {cure}",)
-    return (f"{len(found)} {what}s ({found[0].name}, ...) left out; {cure}",) if found else ()
+        return (f"1 {what} ({found[0].name}) skipped; {cure}",)
+    return (f"{len(found)} {what}s ({found[0].name}, ...) skipped; {cure}",) if found else ()
 
 
 def _is_raw(path: Path) -> bool:

@@ -92,7 +92,7 @@ def hull_surface(hull: Hull) -> tuple[np.ndarray, np.ndarray]:
     from skimage.measure import marching_cubes
 
     if not (hull.field > 0).any():
-        raise SceneError("the masks of the training views have no part of space in common; run with masks=off")
+        raise SceneError("the masks of the training views have no common visual hull; run with masks=off")
     # One layer of outside, so that the surface closes where the grid ends.
     padded = np.pad(hull.field, 1, constant_values=-hull.voxel)
     vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="ascent")

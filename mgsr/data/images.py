@@ -181,7 +181,9 @@ def _decoded(handle: Any, channels: Channels, path: Path, source: str) -> np.nda
     pixels = handle.read_image(channels.part, 0, first, end, "float" if as_float else "uint8")
     trouble = _trouble(handle.geterror)
     if pixels is None or trouble:
-        raise SceneError(f"{path.name}: damaged image: {trouble or 'no pixels'} (asked for by {source}); copy it again")
+        raise SceneError(
+            f"{path.name}: the image is damaged: {trouble or 'no pixels'} (named by {source}); copy it again"
+        )
     decoded: np.ndarray = pixels.reshape(spec.height, spec.width, end - first)
     if channels.all == tuple(range(first, end)):
         return decoded
@@ -201,8 +203,8 @@ def _check_range(path: Path, pixels: np.ndarray, source: str) -> None:
     bright = pixels[..., 0] > 0
     if bright.any() and np.median(pixels[..., 0][bright]) > _MOST_IN_FLOAT:
         raise SceneError(
-            f"{path.name}: float values up to {pixels.max():.4g}; expected linear light from 0 to 1: divide them, or "
-            f"save 8 or 16 bits (asked for by {source})"
+            f"{path.name}: expected linear light from 0 to 1, got float values up to {pixels.max():.4g}; divide them, "
+            f"or save 8 or 16 bits (named by {source})"
         )
 
 
@@ -274,9 +276,9 @@ def _open(path: Path, source: str) -> Any:
     if handle is None:
         reason = _trouble(OpenImageIO.geterror) or "unknown type"
         if odd := what_instead(path):
-            raise SceneError(f"{path.name} {odd} (asked for by {source})")
+            raise SceneError(f"{path.name} {odd} (named by {source})")
         cure = "reduce it" if "exceed" in reason else "copy it again"  # OpenImageIO's own limits come before ours
-        raise SceneError(f"{path.name}: not an image that can be read: {reason} (asked for by {source}); {cure}")
+        raise SceneError(f"{path.name}: this file is not a readable image: {reason} (named by {source}); {cure}")
     spec, window = handle.spec(), _shown_window(handle)
     for width, height in ((spec.width, spec.height), (window.width, window.height)):
         _check_size(path, width, height, source)
@@ -292,7 +294,7 @@ def _open_heif(path: Path, source: str) -> Any:
         width, height = opened.size
     except _HEIF_ERRORS as error:
         raise SceneError(
-            f"{path.name}: not an image that can be read: {in_short(error)} (asked for by {source}); copy it again"
+            f"{path.name}: this file is not a readable image: {in_short(error)} (named by {source}); copy it again"
         ) from error
     _check_size(path, width, height, source)
     return opened
@@ -308,7 +310,7 @@ def _read_heif(path: Path, source: str) -> DecodedImage:
         pixels = np.asarray(opened)
     except _HEIF_ERRORS as error:
         reason = in_short(error)
-        raise SceneError(f"{path.name}: damaged image: {reason} (asked for by {source}); copy it again") from error
+        raise SceneError(f"{path.name}: the image is damaged: {reason} (named by {source}); copy it again") from error
     pixels = pixels.reshape(*pixels.shape[:2], -1)
     alpha = np.ascontiguousarray(pixels[..., -1]) if pixels.shape[2] in (2, 4) else None
     return DecodedImage(_as_rgb(pixels[..., : 1 if pixels.shape[2] < 3 else 3]), alpha)
@@ -316,12 +318,12 @@ def _read_heif(path: Path, source: str) -> DecodedImage:
 
 def _check_there(path: Path, source: str) -> None:
     if not path.is_file():
-        raise SceneError(f"image {path} is missing (asked for by {source}); put it there or remove the view")
+        raise SceneError(f"image {path} is missing (named by {source}); add it or remove the view")
 
 
 def _check_size(path: Path, width: int, height: int, source: str) -> None:
     if width * height > MAX_PIXELS:
         raise SceneError(
-            f"{path.name}: {width}x{height} pixels; at most {MAX_PIXELS} in one image are taken: reduce it "
-            f"(asked for by {source})"
+            f"{path.name}: {width}x{height} pixels exceed the limit of {MAX_PIXELS} in one image; reduce it (named by "
+            f"{source})"
         )

@@ -14,8 +14,8 @@ import numpy as np
 # The formats' names of panoramic cameras, in lower case.
 PANORAMAS = ("equirectangular", "spherical")
 PANORAMA_CURE = (
-    "a panorama is no pinhole camera's image; cut perspective photographs out of it first (COLMAP's panorama_sfm.py or "
-    "`ns-process-data images --camera-type equirectangular`) and give those with their cameras"
+    "a panorama has no pinhole camera; cut perspective photographs out of it with COLMAP's panorama_sfm.py or "
+    "`ns-process-data images --camera-type equirectangular`, and use those with their cameras"
 )
 
 Coordinates = tuple[np.ndarray, np.ndarray]

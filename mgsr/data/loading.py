@@ -137,11 +137,13 @@ def _camera(photo: Photo, width: int, height: int) -> Camera:
     if photo.size == (width, height):
         return camera
     if min(photo.size) < 1:
-        raise SceneError(f"{photo.source}: image size {photo.size[0]}x{photo.size[1]}; expected whole numbers above 0")
+        raise SceneError(
+            f"{photo.source}: expected an image size of whole numbers above 0, got {photo.size[0]}x{photo.size[1]}"
+        )
     if not _same_shape(photo.size, (width, height)):
         raise SceneError(
             f"{photo.source}: the camera is for {photo.size[0]}x{photo.size[1]} pixels, but {photo.image.name} has "
-            f"{width}x{height}; give the calibrated image, or a scaled copy of the same shape"
+            f"{width}x{height}; use the calibrated image, or a scaled copy with the same aspect ratio"
         )
     return camera.resized(width, height)
 

@@ -48,8 +48,8 @@ _WHITE_BORDERS = 0.85
 _LARGEST_BALL = 2.4
 
 _CHOICE = (
-    "say which with masks=object (white is the object to be reconstructed) or masks=ignore (black is what to leave "
-    "out, such as passers-by or a tripod), or leave them out with masks=off"
+    "choose masks=object (white is the object to reconstruct), masks=ignore (black is left out, such as passers-by or "
+    "a tripod) or masks=off (masks are not used)"
 )
 
 
@@ -78,7 +78,7 @@ def find_mask_use(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> Mas
         return MaskUse.IGNORE
     if agreement > _INVERTED and inverted_masks(masks):
         raise SceneError(
-            "the masks are inverted: white around the object and black on it; make them white on the object, or "
+            "the masks are inverted, white around the object and black on it; make them white on the object, or "
             + _CHOICE
         )
     if agreement > _SAME_PLACE and borders < _WHITE_BORDERS and not same_pixels:
@@ -89,7 +89,7 @@ def find_mask_use(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> Mas
 def doubt(masks: Sequence[np.ndarray]) -> SceneError:
     """Return the error that explains the two meanings of masks [H,W]."""
     white = float(np.mean([(mask >= 128).mean() for mask in masks]))
-    return SceneError(f"the masks may show an object or what is to be ignored ({white:.0%} white); {_CHOICE}")
+    return SceneError(f"the masks may mark an object or areas to ignore ({white:.0%} white); {_CHOICE}")
 
 
 def require_plausible_ball(radius: float, masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> None:

@@ -29,8 +29,8 @@ def fitted_mask(mask: np.ndarray, width: int, height: int, photo: Photo) -> np.n
     across, down = width / mask.shape[1], height / mask.shape[0]
     if abs(across / down - 1) > _SHAPE_TOLERANCE:
         raise SceneError(
-            f"mask {photo.mask}: {mask.shape[1]}x{mask.shape[0]} pixels, but its image has {width}x{height}; "
-            "give the mask the image's size, or the same shape at another scale"
+            f"mask {photo.mask}: {mask.shape[1]}x{mask.shape[0]} pixels, but its image has {width}x{height}; make a "
+            "mask of the image's size or aspect ratio"
         )
     if across < 1 and down < 1:
         return to_uint8(reduce_area(mask[..., None], width, height)[..., 0])

@@ -37,7 +37,7 @@ def normalisation(views: Sequence[View], points: PointCloud | None, outlines: Se
     cameras = [view.camera for view in views]
     centers = np.array([camera.center for camera in cameras])
     if np.ptp(centers, axis=0).max() <= 1e-9 * max(1.0, np.abs(centers).max()):
-        raise SceneError("all cameras stand at the same place; a surface needs views from different places")
+        raise SceneError("all cameras have the same position; take photographs from different positions")
     if outlines:
         return Similarity(*_swapped(_masked_ball(views, outlines)))
     return Similarity(*_swapped(unmasked_ball([whole_part(view).camera for view in views], points)))
@@ -88,8 +88,8 @@ def _masked_ball(views: Sequence[View], outlines: Sequence[Silhouette]) -> tuple
         hull = carve(outlines, center, half, RESOLUTION)
         if not (hull.field > 0).any():
             raise SceneError(
-                "the masks of the training views have no part of space in common: are they black on the object, do "
-                "they belong to other views, or are the poses wrong? Mend them, or run with masks=off"
+                "the masks of the training views have no common visual hull; check that they are white on the object "
+                "and belong to their views, and that the poses are right, or run with masks=off"
             )
         inside = hull.reached()
         cut = np.abs(inside - center).max() > half - 1.5 * hull.voxel
@@ -120,7 +120,7 @@ def _box(view: View) -> tuple[np.ndarray, float]:
 
     The mask must not be empty.
     """
-    assert view.alpha is not None, "called for masked scenes only"
+    assert view.alpha is not None, "only scenes with masks reach this"
     inside = view.alpha > 127 if view.valid_mask is None else (view.alpha > 127) & view.valid_mask
     rows, cols = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     K = view.camera.K

@@ -37,12 +37,12 @@ def read_arrays(path: Path, largest: int = 1 << 31) -> dict[str, np.ndarray]:
         with zipfile.ZipFile(path) as members:
             for member in members.infolist():
                 if member.file_size > largest:
-                    raise ValueError(f"{member.filename} takes {member.file_size} bytes, expected {largest} at most")
+                    raise ValueError(f"{member.filename} has {member.file_size} bytes, expected at most {largest}")
         with np.load(path, allow_pickle=False) as content:
             arrays = {name: np.asarray(content[name]) for name in content.files}
     except DAMAGE as error:
         raise ValueError(textwrap.shorten(str(error), 100) or type(error).__name__) from error
     for name, array in arrays.items():
         if array.dtype.kind not in "biuf":
-            raise ValueError(f"{name} holds {array.dtype}, expected numbers")
+            raise ValueError(f"{name} has type {array.dtype}, expected numbers")
     return arrays

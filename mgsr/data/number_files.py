@@ -38,7 +38,7 @@ def row_from(line: str, source: str) -> list[float]:
     try:
         return [text_number(word) for word in line.split("#")[0].replace(",", " ").split()]
     except ValueError as error:
-        raise SceneError(f"{source}: expected numbers: {in_short(error)}; mend the file") from error
+        raise SceneError(f"{source}: expected numbers: {in_short(error)}; fix the file") from error
 
 
 def read_lines(path: Path, largest: int = LARGEST_CAMERA) -> list[str]:
@@ -49,17 +49,17 @@ def read_lines(path: Path, largest: int = LARGEST_CAMERA) -> list[str]:
     require_content(path)
     try:
         if path.stat().st_size > largest:
-            raise SceneError(f"{path.name}: {path.stat().st_size} bytes; expected a text file of {largest} at most")
+            raise SceneError(f"{path.name}: expected a text file of at most {largest} bytes, got {path.stat().st_size}")
         return path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
-        raise SceneError(f"{path.name}: can't be read as text: {in_short(error)}; copy it again") from error
+        raise SceneError(f"{path.name}: this file is not text: {in_short(error)}; copy it again") from error
 
 
 def read_pose(path: Path) -> np.ndarray:
     """Read a pose [4,4] of 12 or 16 numbers. Raises SceneError."""
     numbers = [number for row in read_rows(path) for number in row]
     if len(numbers) not in (12, 16):
-        raise SceneError(f"{path.name}: expected a pose of 3x4 or 4x4 numbers, got {len(numbers)}; mend the file")
+        raise SceneError(f"{path.name}: expected a pose of 3x4 or 4x4 numbers, got {len(numbers)}; fix the file")
     return pose_from(numbers, "pose", path.name)
 
 
@@ -84,8 +84,8 @@ def read_intrinsics(path: Path) -> tuple[np.ndarray, tuple[int, int] | None]:
     if len(numbers) == 6 and set(widths) == {1}:
         return intrinsics(*numbers[:4]), None
     raise SceneError(
-        f"{path.name}: expected intrinsics as a 3x3 or 4x4 matrix, or as fx fy cx cy, got rows of {widths[:8]} "
-        "numbers; mend the file"
+        f"{path.name}: expected intrinsics as a 3x3 or 4x4 matrix or as fx fy cx cy, got rows of {widths[:8]} "
+        "numbers; fix the file"
     )
 
 

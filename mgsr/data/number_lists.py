@@ -25,14 +25,14 @@ def numbers(words: Any, count: int, what: str, source: str) -> np.ndarray:
     except (TypeError, ValueError, OverflowError):
         found = np.zeros(0)
     if len(found) != count or not np.isfinite(found).all():
-        raise SceneError(f"{source}: {what}: expected {_counted(count)}, got {str(words)[:80]!r}; mend the file")
+        raise SceneError(f"{source}: {what}: expected {_counted(count)}, got {str(words)[:80]!r}; fix the file")
     return found
 
 
 def matrix(rows: Any, what: str, source: str) -> np.ndarray:
     """Return the matrix [3,3] of three lists of three finite numbers. Raises SceneError with `source` and `what`."""
     if not isinstance(rows, list) or len(rows) != 3:
-        raise SceneError(f"{source}: {what}: expected 3 rows of 3 numbers, got {str(rows)[:80]!r}; mend the file")
+        raise SceneError(f"{source}: {what}: expected 3 rows of 3 numbers, got {str(rows)[:80]!r}; fix the file")
     return np.stack([numbers(row, 3, what, source) for row in rows])
 
 
@@ -52,7 +52,7 @@ def rotation_of(quaternion: np.ndarray, source: str) -> np.ndarray:
         norm = float(np.linalg.norm(quaternion))
     if not np.isfinite(norm) or norm < 1e-12:
         raise SceneError(
-            f"{source}: the pose's quaternion is {quaternion.tolist()}; remove this photograph or mend its pose"
+            f"{source}: the pose has the invalid quaternion {quaternion.tolist()}; fix it or remove the photograph"
         )
     w, x, y, z = quaternion / norm
     return np.array(

@@ -13,7 +13,7 @@ RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", 
 
 VIDEO_CURE = "convert it with `ffmpeg -i VIDEO -c:v libx264 -crf 15 VIDEO.mp4`, and give that alone"
 VIDEO_ALONE = "give a video without photographs beside it, and frames of it are used"
-RAW_CURE = "develop them to JPEG, PNG or TIFF, all with the same settings"
+RAW_CURE = "convert them to JPEG, PNG or TIFF, all with the same settings"
 
 _LFS = b"version https://git-lfs.github.com/spec/"
 _ANNEX = b"/annex/objects/"
@@ -29,12 +29,12 @@ def what_instead(path: Path) -> str | None:
     if not head:
         return "is an empty file; copy or download it again"
     if head.startswith(_LFS):
-        return "is a pointer of Git LFS and not the file itself; get the files with `git lfs pull`"
+        return "is a pointer of Git LFS, not the file itself; fetch the files with `git lfs pull`"
     if _ANNEX in head and len(head) < 512:
-        return "is a pointer of git-annex and not the file itself; get the files with `git annex get .`"
+        return "is a pointer of git-annex, not the file itself; fetch the files with `git annex get .`"
     text = head.lstrip(b"\xef\xbb\xbf \t\r\n").lower()
     if text.startswith((b"<!doctype html", b"<html")):
-        return "is a web page and not the file itself; download it again, logged in or without the preview"
+        return "is a web page, not the file itself; download the file again, for example after logging in"
     return None
 
 

@@ -44,8 +44,8 @@ def agreeing_masks(views: Sequence[View], outlines: Sequence[Silhouette]) -> tup
     if not 0 < odd.sum() <= MOST_ODD * len(views):
         return agreeing, ()
     names = ", ".join(repr(view.name) for view in compress(views, odd))
-    text = f"the masks of {odd.sum()} of {len(views)} training views leave out where the others have the object"
-    return ~odd, (f"{text} ({names}): these views are left out",)
+    text = f"the masks of {odd.sum()} of {len(views)} training views exclude places that the others count as the object"
+    return ~odd, (f"{text} ({names}); these views are skipped",)
 
 
 def left_out_shares(views: Sequence[View], outlines: Sequence[Silhouette]) -> np.ndarray:

@@ -270,7 +270,7 @@ class _NameSearch:
         if stated is not None:
             return stated
         if not offers and PurePosixPath(name).suffix.lower() in RAW_SUFFIXES:
-            return SceneError(f"{name}: raw photographs are not read; {RAW_CURE}")
+            return SceneError(f"{name}: MGSR does not read raw photographs; {RAW_CURE}")
         if not offers:
             return MissingPhotoError(f"{name} is missing")
         most = max(bases[offer.base] for offer in offers)
@@ -279,8 +279,7 @@ class _NameSearch:
             return best[0]
         both = " or ".join(self._folder.shown(offer.path) for offer in best[:2])
         return SceneError(
-            f"{self._file}: the photograph {name!r} may be {both}; name it with its folder, or give the photographs "
-            "different names"
+            f"{self._file}: the photograph {name!r} may be {both}; write its folder as well, or use different names"
         )
 
     def _notes(self, stated: Sequence[Path | None], paths: Sequence[Path | SceneError]) -> tuple[str, ...]:
@@ -299,8 +298,8 @@ class _NameSearch:
         if self._labels or not elsewhere:
             return ()
         name, path = elsewhere[0]
-        count = f"{len(elsewhere)} of {len(self._names)} photographs lie elsewhere than {self._file} says"
-        return (f"{count} ({name} is read from {self._folder.shown(path)})",)
+        count = f"{len(elsewhere)} of {len(self._names)} photographs are in other folders than {self._file} says"
+        return (f"{count}; {name} is read from {self._folder.shown(path)}",)
 
     def _note_of_extensions(self, moved: Sequence[tuple[str, Path]]) -> tuple[str, ...]:
         other = [
@@ -312,8 +311,8 @@ class _NameSearch:
         if not other:
             return ()
         name, path = other[0]
-        count = f"{len(other)} of {len(self._names)} photographs have another extension than {self._file} says"
-        return (f"{count} ({self._folder.shown(path)} is read for {name})",)
+        count = f"{len(other)} of {len(self._names)} photographs have other extensions than {self._file} says"
+        return (f"{count}; {self._folder.shown(path)} is read for {name}",)
 
 
 def reduction(folder: str) -> int:
@@ -327,7 +326,9 @@ def _note_of_reduction(moved: Sequence[tuple[str, Path]]) -> tuple[str, ...]:
     folders -= {PurePosixPath(name).parent.name for name, _ in moved}
     if not folders:
         return ()
-    return (f"the photographs are read from {', '.join(sorted(folders))}; the cameras are scaled to their size",)
+    return (
+        f"the photographs are read from {', '.join(sorted(folders))}; the cameras are scaled to the photographs' size",
+    )
 
 
 def _path_text(name: Any) -> str | SceneError:
@@ -338,7 +339,7 @@ def _path_text(name: Any) -> str | SceneError:
     text = re.sub(r"^[A-Za-z]:/", "/", text)
     parts = text.split("/")
     if "\0" in text or len(text) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in parts):
-        return SceneError(f"{text[:80]!r}...: too long, or with a zero byte, for a file's name; mend the file")
+        return SceneError(f"{text[:80]!r}...: a file name may not be so long or have a zero byte; fix the file")
     if not [part for part in parts if part not in ("", ".", "..")]:
         return SceneError(f"expected the path of an image, got {name[:80]!r}")
     return text

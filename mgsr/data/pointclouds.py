@@ -37,7 +37,7 @@ def read_points(path: Path) -> PointCloud:
         colors = _colors(vertex, len(positions))
     except (PlyParseError, KeyError, ValueError, TypeError, IndexError, OverflowError, OSError, MemoryError) as error:
         raise SceneError(
-            f"{path.name}: expected a PLY with vertices: {in_short(error)}; export it again or remove it"
+            f"{path.name}: expected a PLY file with vertices: {in_short(error)}; export it again or remove it"
         ) from error
     finite = np.isfinite(positions).all(axis=1)
     return PointCloud(positions[finite], colors[finite])

@@ -25,10 +25,10 @@ def matrix_from(value: Any, rows: int, cols: int, what: str, source: str) -> np.
     try:
         matrix = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise SceneError(f"{source}: {what}: expected a {rows}x{cols} matrix of numbers; mend the file") from error
+        raise SceneError(f"{source}: {what}: expected a {rows}x{cols} matrix of numbers; fix the file") from error
     if matrix.shape != (rows, cols):
         raise SceneError(
-            f"{source}: {what}: expected a {rows}x{cols} matrix, got shape {list(matrix.shape)}; mend the file"
+            f"{source}: {what}: expected a {rows}x{cols} matrix, got shape {list(matrix.shape)}; fix the file"
         )
     return matrix
 
@@ -41,14 +41,14 @@ def pose_from(value: Any, what: str, source: str) -> np.ndarray:
     try:
         matrix = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise SceneError(f"{source}: {what}: expected a 4x4 or 3x4 matrix of numbers; mend the file") from error
+        raise SceneError(f"{source}: {what}: expected a 4x4 or 3x4 matrix of numbers; fix the file") from error
     if matrix.shape in ((12,), (16,)):
         matrix = matrix.reshape(-1, 4)
     if matrix.shape == (3, 4):
         return np.vstack([matrix, [0.0, 0, 0, 1]])
     if matrix.shape != (4, 4):
         raise SceneError(
-            f"{source}: {what}: expected a 4x4 or 3x4 matrix, got shape {list(matrix.shape)}; mend the file"
+            f"{source}: {what}: expected a 4x4 or 3x4 matrix, got shape {list(matrix.shape)}; fix the file"
         )
     return matrix
 
@@ -62,11 +62,11 @@ def split_pose(matrix: np.ndarray, source: str) -> tuple[np.ndarray, np.ndarray,
     Raises SceneError for a matrix with NaN, with shear, with unequal scales of its axes, or that mirrors space.
     """
     if not np.isfinite(matrix).all():
-        raise SceneError(f"{source}: the pose has NaN or infinite numbers; mend it, or export the poses again")
+        raise SceneError(f"{source}: the pose has NaN or infinite numbers; fix it, or export the poses again")
     if not matrix[3].any():
         matrix = np.vstack([matrix[:3], [0.0, 0, 0, 1]])
     if np.abs(matrix[3, :3]).max() > 0 and not matrix[:3, 3].any():
-        raise SceneError(f"{source}: the pose's translation stands in its last row; transpose the matrix")
+        raise SceneError(f"{source}: the pose has its translation in the last row; transpose the matrix")
     with np.errstate(all="ignore"):  # what overflows is refused
         matrix = matrix / matrix[3, 3] if matrix[3, 3] else matrix
         linear = matrix[:3, :3]
@@ -75,13 +75,13 @@ def split_pose(matrix: np.ndarray, source: str) -> tuple[np.ndarray, np.ndarray,
         error = np.abs(linear @ linear.T / max(scale, 1e-150) ** 2 - np.eye(3)).max()
     if not error <= RIGID_TOLERANCE or np.abs(matrix[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
         raise SceneError(
-            f"{source}: the pose is not rigid (rotation off by {error:.2g}, last row {matrix[3].tolist()}); expected a "
-            "rotation and a translation: its three axes must be at right angles and equally long. Divide each axis of "
-            "a look-at matrix by its length, and apply the unequal scales of a Blender object or its parents (Ctrl+A) "
-            "before you export it"
+            f"{source}: expected a rotation and a translation, got a pose that is not rigid (rotation off by "
+            f"{error:.2g}, last row {matrix[3].tolist()}). Its three axes must be orthogonal and equally long. Divide "
+            "each axis of a look-at matrix by its length. In Blender, apply unequal scales of the object and its "
+            "parents (Ctrl+A) before the export"
         )
     if determinant < 0:
-        raise SceneError(f"{source}: the pose mirrors space (determinant -1); expected a rotation: check the axes")
+        raise SceneError(f"{source}: expected a rotation, got a reflection (determinant -1); check the axes")
     left, _, right = np.linalg.svd(linear)
     return left @ right, matrix[:3, 3], 1.0 if abs(scale - 1) <= RIGID_TOLERANCE else scale
 
@@ -95,7 +95,7 @@ def check_pose(matrix: np.ndarray, source: str) -> np.ndarray:
     with np.errstate(over="ignore"):  # what overflows is refused
         translation = translation / scale
     if not np.isfinite(translation).all():
-        raise SceneError(f"{source}: the pose's translation is too large for its scale of {scale:.3g}; mend it")
+        raise SceneError(f"{source}: the translation is too large for the pose's scale of {scale:.3g}; fix the pose")
     return rigid(rotation, translation)
 
 
@@ -114,18 +114,18 @@ def check_intrinsics(K: np.ndarray, size: tuple[int, int], source: str) -> np.nd
     """
     if not np.isfinite(K).all():
         raise SceneError(
-            f"{source}: the intrinsics have NaN or infinite numbers; mend them, or export the cameras again"
+            f"{source}: the intrinsics have NaN or infinite numbers; fix them, or export the cameras again"
         )
     if not all(1 <= side <= LARGEST_SIDE for side in size):
-        raise SceneError(
-            f"{source}: an image of {size[0]:g}x{size[1]:g} pixels; expected sides from 1 to {LARGEST_SIDE}"
-        )
+        raise SceneError(f"{source}: expected image sides from 1 to {LARGEST_SIDE} pixels, got {size[0]:g}x{size[1]:g}")
     if K[0, 0] == 0 or K[1, 1] == 0:
-        raise SceneError(f"{source}: the focal length is zero; expected fx and fy in pixels")
+        raise SceneError(f"{source}: expected fx and fy in pixels, got a focal length of zero")
     with np.errstate(all="ignore"):  # what overflows is refused
         determinant, product = abs(np.linalg.det(K)), abs(K[0, 0] * K[1, 1])
     if determinant < 1e-9 * product:
-        raise SceneError(f"{source}: the intrinsics are singular: {K.tolist()}; expected [[fx,0,cx],[0,fy,cy],[0,0,1]]")
+        raise SceneError(
+            f"{source}: expected intrinsics [[fx,0,cx],[0,fy,cy],[0,0,1]], got the singular matrix {K.tolist()}"
+        )
     with np.errstate(over="ignore"):
         K = K / K[2, 2] if K[2, 2] else K
     if np.abs(K[2] - [0, 0, 1]).max() > 1e-9 or abs(K[1, 0]) > SKEW_TOLERANCE * abs(K[1, 1]):
@@ -133,19 +133,19 @@ def check_intrinsics(K: np.ndarray, size: tuple[int, int], source: str) -> np.nd
     if abs(K[0, 1]) > SKEW_TOLERANCE * abs(K[0, 0]):
         raise SceneError(f"{source}: the intrinsics have skew ({K[0, 1]:g}); resample the images without skew first")
     if K[0, 0] < 0 or K[1, 1] < 0:
-        raise SceneError(f"{source}: the focal length is negative; expected fx and fy in pixels, with OpenCV axes")
+        raise SceneError(f"{source}: expected fx and fy in pixels with OpenCV axes, got a negative focal length")
     if not all(LEAST_FOCAL <= focal / max(size) <= LARGEST_FOCAL for focal in K.diagonal()[:2]):
         raise SceneError(
-            f"{source}: focal lengths of {K[0, 0]:g} and {K[1, 1]:g} pixels in an image of {size[0]}x{size[1]}; "
-            f"expected {LEAST_FOCAL:g} to {LARGEST_FOCAL:g} times its larger side"
+            f"{source}: expected focal lengths of {LEAST_FOCAL:g} to {LARGEST_FOCAL:g} times the larger image side, "
+            f"got {K[0, 0]:g} and {K[1, 1]:g} pixels in an image of {size[0]}x{size[1]}"
         )
     with np.errstate(over="ignore"):  # what overflows is refused
         beside = np.abs(K[:2, 2] - np.array(size) / 2) / K.diagonal()[:2]
     if beside.max() > FARTHEST_PRINCIPAL_POINT:
         raise SceneError(
-            f"{source}: the principal point ({K[0, 2]:g}, {K[1, 2]:g}) lies {beside.max():.3g} focal lengths beside "
-            f"the middle of the image of {size[0]}x{size[1]} pixels, expected at most {FARTHEST_PRINCIPAL_POINT:g}: "
-            "give cx and cy in pixels of this image"
+            f"{source}: the principal point ({K[0, 2]:g}, {K[1, 2]:g}) lies {beside.max():.3g} focal lengths from the "
+            f"centre of the image of {size[0]}x{size[1]} pixels, expected at most {FARTHEST_PRINCIPAL_POINT:g}; write "
+            "cx and cy in pixels of this image"
         )
     return np.array([[K[0, 0], 0, K[0, 2]], [0, K[1, 1], K[1, 2]], [0, 0, 1]])
 

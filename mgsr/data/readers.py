@@ -84,7 +84,7 @@ def load_capture(found: FoundScene, config: DataConfig, progress: LoadProgress |
     photos, unused = _with_masks(present, found.folder, config.masks)
     train, test = split(photos, config.test_every)
     if len(train) < 2:
-        raise SceneError(f"{path.name}: {len(train)} training views; at least 2 are needed, 20 or more are good")
+        raise SceneError(f"{path.name}: expected at least 2 training views, got {len(train)}; use 20 or more")
     views = _load(train, test, config, progress)
     outlines = silhouettes(views.train, OUTLINE_SIDE)
     agreeing, odd = agreeing_masks(views.train, outlines)
@@ -148,17 +148,17 @@ def _as_folder(path: Path, unpack_to: Path | None) -> Path:
     if path.is_dir():
         return path
     if not path.exists():
-        raise SceneError(f"{path}: no such folder or file")
+        raise SceneError(f"{path}: this folder or file does not exist")
     if odd := what_instead(path):
         raise SceneError(f"{path} {odd}")
     if is_read_video_name(path):
         return _folder_of_video(path)
     if is_video_name(path):
-        raise SceneError(f"{path}: a video of a kind that is not read; {VIDEO_CURE}")
+        raise SceneError(f"{path} is a video of a kind that is not read; {VIDEO_CURE}")
     if path.suffix.lower() in IMAGE_SUFFIXES:
-        raise SceneError(f"{path}: a single photograph; give the folder of all photographs")
+        raise SceneError(f"{path}: this is a single photograph; use the folder of all photographs")
     if path.suffix.lower() in _CAMERA_SUFFIXES:
-        raise SceneError(f"{path}: a file of a scene; give the folder that holds it and the photographs")
+        raise SceneError(f"{path}: this is one file of a scene; use the folder that holds it and the photographs")
     return unpack(path, unpack_to)
 
 
@@ -192,11 +192,16 @@ def _with_masks(photos: list[Photo], folder: SceneFolder, masks: Masks) -> tuple
     if doubled:
         photos = [replace(photo, mask=None) if photo.mask in doubled else photo for photo in photos]
         name = folder.shown(doubled[0])
-        return photos, (f"{name} may be the mask of several photographs: it is not used; put masks into their folders",)
+        return photos, (
+            f"{name} may be the mask of several photographs, so it is ignored; sort the masks into the photographs' "
+            "folders",
+        )
     if not index.masks or any(photo.mask for photo in photos):
         return photos, ()
     mask, name = folder.shown(index.masks[0]), photos[0].image.stem
-    return photos, (f"{mask} is no photograph's mask, nor is any beside it: name it as {name}.png to have it used",)
+    return photos, (
+        f"{mask} and the files beside it belong to no photograph; rename it to {name}.png to use it as a mask",
+    )
 
 
 def _load(train: list[Photo], test: list[Photo], config: DataConfig, progress: LoadProgress | None) -> SettledViews:
@@ -214,7 +219,7 @@ def _load(train: list[Photo], test: list[Photo], config: DataConfig, progress: L
         raise lost[0]
     sharp, blurred = without_blurred(trained, tested, config.flawed)
     settled = settle_masks(*sharp, config.masks)
-    unread = (f"{len(lost)} of {len(loaded)} photographs left out: {lost[0]}",) if lost else ()
+    unread = (f"{len(lost)} of {len(loaded)} photographs skipped: {lost[0]}",) if lost else ()
     return replace(settled, notes=(*unread, *settled.notes, *blurred))
 
 

@@ -22,4 +22,4 @@ def check_share(
     if kept < least * total:
         example = f" ({in_short(missing[0])} is missing)" if missing else ""
         raise SceneError(f"only {text}{example}; {cure}")
-    return (f"{text}; the others are left out",)
+    return (f"{text}; the others are skipped",)

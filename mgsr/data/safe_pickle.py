@@ -64,13 +64,13 @@ def read_pickled_arrays(path: Path, source: str) -> list[np.ndarray]:
         return [_array(item) for item in content]
     except (OSError, *_DAMAGE) as error:
         reason = in_short(error) or type(error).__name__
-        raise SceneError(f"{source}: not a pickled tuple of arrays of numbers: {reason}; copy it again") from error
+        raise SceneError(f"{source}: expected a pickled tuple of numeric arrays: {reason}; copy it again") from error
 
 
 def _check_instructions(data: bytes) -> None:
     for instruction, argument, _ in pickletools.genops(data):
         if instruction.name not in _INSTRUCTIONS:
-            raise ValueError(f"{instruction.name}, which arrays do not need, is refused")
+            raise ValueError(f"the instruction {instruction.name}, which no array needs, is refused")
         if instruction.name in _INDEXED and not 0 <= (argument or 0) < _LARGEST_MEMO:
             raise ValueError(f"{instruction.name} {argument} is refused")
 
@@ -84,7 +84,7 @@ class _Kept:
 
     def __setstate__(self, state: Any) -> None:
         if not isinstance(self, _Kept) or not isinstance(state, tuple):
-            raise ValueError("a state that no array has")
+            raise ValueError("the state belongs to no array")
         self.state = state
 
 
@@ -127,8 +127,9 @@ _MADE = {
 
 class _Unpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
+        """Return the stand-in of a class. Raises pickle.UnpicklingError for one that no array needs."""
         if (module, name) not in _MADE:
-            raise pickle.UnpicklingError(f"{module[:80]}.{name[:80]} is refused: it is no part of an array")
+            raise pickle.UnpicklingError(f"{module[:80]}.{name[:80]} is refused because it is not part of an array")
         return _MADE[module, name]
 
 
@@ -148,7 +149,7 @@ def _array(item: Any) -> np.ndarray:
         return _from_bytes(dtype, (), False, data)
     if isinstance(item, (list, tuple)):
         return _from_list(item)
-    raise ValueError(f"{type(item).__name__} is no array")
+    raise ValueError(f"expected an array, got {type(item).__name__}")
 
 
 def _from_list(rows: list[Any] | tuple[Any, ...]) -> np.ndarray:
@@ -161,7 +162,7 @@ def _from_list(rows: list[Any] | tuple[Any, ...]) -> np.ndarray:
     for item in rows:
         for value in item if isinstance(item, (list, tuple)) else [item]:
             if isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise ValueError(f"{type(value).__name__} is no number")
+                raise ValueError(f"expected a number, got {type(value).__name__}")
     return np.array(rows, np.float64)
 
 
@@ -175,19 +176,19 @@ def _from_bytes(dtype: Any, shape: Any, by_columns: bool, data: Any) -> np.ndarr
         or not isinstance(shape, tuple)
         or not all(type(side) is int for side in shape)
     ):
-        raise ValueError("an array without bytes or shape")
+        raise ValueError("an array lacks bytes or shape")
     kind = _number_type(dtype)
     if any(side < 0 for side in shape) or math.prod(shape) * kind.itemsize != len(content):
-        raise ValueError(f"{len(content)} bytes for an array of another size")
+        raise ValueError(f"the array's size does not fit {len(content)} bytes")
     return np.frombuffer(content, kind).reshape(shape, order="F" if by_columns else "C").astype(np.float64)
 
 
 def _number_type(dtype: Any) -> np.dtype:
     """Return the type that a pickled dtype names. Raises ValueError for all but types of numbers."""
     if not isinstance(dtype, _Dtype) or not dtype.arguments or not isinstance(dtype.arguments[0], str):
-        raise ValueError("an array without a type")
+        raise ValueError("an array lacks a type")
     code = dtype.arguments[0]
     if code not in ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8"):
-        raise ValueError(f"an array of {code[:20]!r}, expected numbers")
+        raise ValueError(f"expected an array of numbers, got type {code[:20]!r}")
     order = dtype.state[1] if len(dtype.state) > 1 else "<"
     return np.dtype(code).newbyteorder(">" if order == ">" else "<")

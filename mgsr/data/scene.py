@@ -123,9 +123,12 @@ class Scene:
 
     user_from_scene takes results back to the frame and scale of the input files. format names the reader. root is the
     folder that was read; for an archive, its unpacked folder. notes inform the user about omitted input. warning is one
-    of them: the surface will be a guess. exposures: the factors divided out of the photographs; None where they are
-    unchanged (see `exposure.py`). ignoring: whether masks of regions to ignore make pixels invalid. source and
-    read_with: the path and the settings of the reading; None and the defaults for a scene that was not read from files.
+    of them: the surface will be a guess.
+
+    exposures: the factors divided out of the photographs; None where they are unchanged (see `exposure.py`). ignoring:
+    whether masks of regions to ignore make pixels invalid. source and read_with: the path and the settings of the
+    reading; None and the defaults for a scene that was not read from files.
+
     ground [4]: the plane on which a found object stands, None if it is unknown. It holds the points x with
     ground[:3] . x + ground[3] = 0; its unit normal points up.
     """

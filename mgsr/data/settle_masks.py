@@ -70,7 +70,7 @@ def _use(train: Sequence[LoadedView], masks: Masks) -> MaskUse | None:
     """
     with_masks = [item for item in train if item.mask is not None]
     if masks is Masks.IGNORE and not with_masks and not any(item.ignored is not None for item in train):
-        raise SceneError("masks=ignore: no photograph has a mask; put them into masks/ under the photographs' names")
+        raise SceneError("masks=ignore: no photograph has a mask; copy masks to masks/, named like the photographs")
     if masks in (Masks.OBJECT, Masks.IGNORE):
         return MaskUse(masks.value)
     if not with_masks:
@@ -82,7 +82,7 @@ def _use(train: Sequence[LoadedView], masks: Masks) -> MaskUse | None:
 
 
 def _alpha(view: View) -> np.ndarray:
-    assert view.alpha is not None, "called for views with masks"
+    assert view.alpha is not None, "only views with masks reach this"
     return view.alpha
 
 
@@ -118,10 +118,10 @@ def _not_ignored_whole(train: list[LoadedView], ignoring: bool) -> tuple[list[Lo
     if len(kept) == len(train):
         return train, ()
     first = next(item.view.name for item in train if not _shows(_settled(item, ignoring)))
-    count = f"the masks of {len(train) - len(kept)} of {len(train)} training views ignore all of the image"
+    count = f"the masks of {len(train) - len(kept)} of {len(train)} training views ignore the whole image"
     if len(kept) < max(2, len(train) / 2):
-        raise SceneError(f"{count} ({first!r}); make them black on what to leave out alone, or run with masks=off")
-    return kept, (f"{count} ({first!r}): these views are left out",)
+        raise SceneError(f"{count} ({first!r}); make only the areas to ignore black, or run with masks=off")
+    return kept, (f"{count} ({first!r}); these views are skipped",)
 
 
 def _shows(view: View) -> bool:
@@ -131,8 +131,8 @@ def _shows(view: View) -> bool:
 def _note_of_ignored(train: Sequence[View]) -> tuple[str, ...]:
     share = np.mean([0.0 if view.valid_mask is None else 1 - view.valid_mask.mean() for view in train])
     return (
-        f"the masks say what to ignore, {share:.1%} of the training photographs, which is left out; "
-        "masks=object takes their white for the object",
+        f"the masks mark areas to ignore, {share:.1%} of the training photographs; with masks=object, their white "
+        "would be the object",
     )
 
 
@@ -144,7 +144,7 @@ def _tell_nothing(train: Sequence[View], masks: Masks) -> bool:
     bare = [view.name for view in train if view.alpha is None]
     solid = all(_solid(view) for view in train)
     if masks is Masks.OBJECT and (bare or solid):
-        missing = f"view {bare[0]!r} has none" if bare else "every mask is white all over"
+        missing = f"view {bare[0]!r} has none" if bare else "every mask is completely white"
         raise SceneError(f"masks=object: {missing}; add alpha channels or a masks/ folder, or use masks=auto")
     return bool(bare) or solid
 
@@ -164,9 +164,9 @@ def _unused_masks(train: Sequence[View], beside: bool) -> tuple[str, ...]:
     bare = [view.name for view in train if view.alpha is None]
     if bare and len(bare) < len(train):
         having = f"{len(train) - len(bare)} of {len(train)} training views have a mask"
-        return (f"{having}, but {bare[0]!r} has none: masks are not used",)
+        return (f"{having}, but {bare[0]!r} has none, so masks are not used",)
     if not bare and beside and all(_solid(view) for view in train):
-        return ("every mask is white all over: masks are not used",)
+        return ("every mask is completely white, so masks are not used",)
     return ()
 
 
@@ -183,7 +183,7 @@ def _with_an_object(train: list[View]) -> tuple[list[View], tuple[str, ...]]:
             f"{count}: the largest value in that of {first.name!r} is {_brightest(first)} of 255, and 128 or more is "
             "the object; make them white on the object, or run with masks=off"
         )
-    return shown, (f"{count} ({first.name!r}): these views are left out",)
+    return shown, (f"{count} ({first.name!r}); these views are skipped",)
 
 
 def _empty(view: View) -> bool:

@@ -48,10 +48,10 @@ def without_blurred(
     shown = ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
     text = f"{len(names)} of {len(views)} photographs are much less sharp than their neighbours ({shown})"
     if blurred is Flawed.KEEP:
-        cure = f"`--set flawed=drop` leaves them out, if the other {len(views) - len(names)} show all of the object"
-        return (train, test), (f"{text}, which costs accuracy: take them again, or {cure}",)
+        cure = f"skip them with `--set flawed=drop` if the other {len(views) - len(names)} show the whole object"
+        return (train, test), (f"{text}, which costs accuracy; take them again, or {cure}",)
     kept = list(compress(train, ~less[: len(train)])), list(compress(test, ~less[len(train) :]))
-    return kept, (f"{text}: they are left out",)
+    return kept, (f"{text}; they are skipped",)
 
 
 def less_sharp(views: Sequence[View]) -> np.ndarray:

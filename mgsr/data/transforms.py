@@ -55,7 +55,9 @@ def refuse_doubles(photos: Sequence[Photo]) -> None:
     for photo in photos:
         other = first.setdefault(photo.image, photo)
         if other is not photo:
-            raise SceneError(f"{photo.source}: the same photograph as {other.source}; remove one of the two frames")
+            raise SceneError(
+                f"{photo.source}: this frame has the same photograph as {other.source}; remove one of them"
+            )
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ def _mask(folder: SceneFolder, frame: dict[str, Any], source: str) -> Path | Non
     if not name:
         return None
     if (mask := folder.find_file(name, f"{source}, mask_path")) is None:
-        raise SceneError(f"{source}: its mask {str(name)[:200]} is missing; put it there, or name none")
+        raise SceneError(f"{source}: its mask {str(name)[:200]} is missing; add it, or name no mask")
     return mask
 
 
@@ -118,7 +120,7 @@ def _intrinsics(frame: dict[str, Any], size: tuple[int, int], source: str) -> np
     fx = _focal(frame, "fl_x", "camera_angle_x", size[0], source)
     fy = _focal(frame, "fl_y", "camera_angle_y", size[1], source)
     if fx is None and fy is None:
-        raise SceneError(f"{source}: no focal length; expected camera_angle_x (radians) or fl_x (pixels)")
+        raise SceneError(f"{source}: expected camera_angle_x (radians) or fl_x (pixels), got no focal length")
     cx = number(frame, "cx", source) if "cx" in frame else size[0] / 2
     cy = number(frame, "cy", source) if "cy" in frame else size[1] / 2
     return intrinsics(fy if fx is None else fx, fx if fy is None else fy, cx, cy)  # type: ignore[arg-type]
@@ -131,7 +133,7 @@ def _focal(frame: dict[str, Any], pixels: str, angle: str, side: int, source: st
         return None
     value = number(frame, angle, source)
     if not 0 < value < math.pi:
-        raise SceneError(f"{source}: {angle}: expected an angle between 0 and pi radians, got {value:g}; mend the file")
+        raise SceneError(f"{source}: {angle}: expected an angle between 0 and pi radians, got {value:g}; fix the file")
     return side / 2 / math.tan(value / 2)
 
 
@@ -146,8 +148,8 @@ def _lens(frame: dict[str, Any], source: str) -> Lens | None:
         raise SceneError(f"{source}: camera_model {model} is not supported: {PANORAMA_CURE}")
     if model not in _PERSPECTIVE + _FISHEYE or "ftheta_p0" in frame:
         raise SceneError(
-            f"{source}: camera_model {model} is not supported; expected one of {', '.join(_PERSPECTIVE + _FISHEYE)}: "
-            "make pinhole images of it first"
+            f"{source}: camera_model {model} is not supported; expected one of {', '.join(_PERSPECTIVE + _FISHEYE)}; "
+            "undistort the images to pinhole cameras"
         )
     for name in ("k5", "k6"):
         if name in frame and number(frame, name, source) != 0:

@@ -96,7 +96,7 @@ def undistortion(lens: AnyLens, K: np.ndarray, width: int, height: int, source: 
         valid = _around(K[:2, 2] - (frame.left, frame.top), valid)
     rows, cols = _kept(valid)
     if rows.stop - rows.start < 2 or cols.stop - cols.start < 2:
-        raise SceneError(f"{source}: the lens distortion {lens} leaves no usable image; check its numbers")
+        raise SceneError(f"{source}: the lens distortion {lens} leaves no usable pixels; check its parameters")
     pinhole = K.copy()
     pinhole[:2, 2] -= frame.left + cols.start, frame.top + rows.start
     map_x, map_y, valid = (np.ascontiguousarray(image[rows, cols]) for image in (map_x, map_y, valid))

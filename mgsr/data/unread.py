@@ -15,8 +15,10 @@ from pathlib import Path
 _MOST_NAMES = 20_000
 _HEAD = 1 << 20
 
-_PLAIN = "write its cameras as transforms.json or in MGSR's plain form (docs/inputs.md)"
-_EXPORT_XML = "open it in Metashape and use File, Export, Export Cameras (Agisoft XML), beside the photographs"
+_PLAIN = "write its cameras to transforms.json or in MGSR's plain form (docs/inputs.md)"
+_EXPORT_XML = (
+    "open it in Metashape and write an XML file beside the photographs with File, Export, Export Cameras (Agisoft XML)"
+)
 _CONVERT_IN_MESHROOM = "convert it with Meshroom's node ConvertSfMFormat, with sfm as the format"
 _EXPORT_NERFSTUDIO = "convert it with `ns-process-data {} --data CAPTURE --output-dir SCENE` (nerfstudio)"
 
@@ -61,15 +63,15 @@ def _head(path: Path) -> bytes:
 
 _TABLE = (
     # Phones and tablets
-    _Unread("Stray Scanner", ("odometry.csv", "camera_matrix.csv"), f"take the frames from rgb.mp4 and {_PLAIN}"),
+    _Unread("Stray Scanner", ("odometry.csv", "camera_matrix.csv"), f"extract the frames of rgb.mp4 and {_PLAIN}"),
     _Unread("3D Scanner App", ("frame_[0-9]*.json", "info.json"), _PLAIN, b"cameraPoseARFrame"),
     _Unread("3D Scanner App", ("frame_[0-9]*.json", "frame_[0-9]*.jpg"), _PLAIN, b"cameraPoseARFrame"),
     _Unread("ARKitScenes", ("lowres_wide.traj",), _PLAIN),
     _Unread("ARKitScenes", ("*_frames/lowres_wide.traj",), _PLAIN),
     _Unread("Spectacular AI", ("data.jsonl", "calibration.json"), "convert it with `sai-cli process CAPTURE SCENE`"),
     _Unread("Project Aria", ("*.vrs",), _EXPORT_NERFSTUDIO.format("aria")),
-    _Unread("ScanNet++", ("pose_intrinsic_imu.json",), "give its dslr/ folder, or iphone/colmap with the photographs"),
-    _Unread("Record3D", ("*.r3d",), "unpack the file, which is a zip, and give the folder"),
+    _Unread("ScanNet++", ("pose_intrinsic_imu.json",), "use its dslr/ folder, or iphone/colmap with the photographs"),
+    _Unread("Record3D", ("*.r3d",), "unpack the file, which is a zip archive, and use the folder"),
     # Photogrammetry
     _Unread("Metashape", ("*.psx",), _EXPORT_XML),
     _Unread("Metashape", ("*.psz",), _EXPORT_XML),
@@ -77,12 +79,10 @@ _TABLE = (
     _Unread(
         "RealityCapture",
         ("*.rcproj",),
-        'open it and use Alignment, Export, Registration, "Internal/External camera parameters" (.csv), beside the '
-        "photographs",
+        "open it and write a .csv file beside the photographs with Alignment, Export, Registration, "
+        '"Internal/External camera parameters"',
     ),
-    _Unread(
-        "Pix4D", ("*.p4d",), "put the ..._calibrated_camera_parameters.txt of its params folder to the photographs"
-    ),
+    _Unread("Pix4D", ("*.p4d",), "copy ..._calibrated_camera_parameters.txt from its params folder to the photographs"),
     _Unread("PhotoModeler", ("*.pmr*",), _PLAIN),
     _Unread(
         "OpenMVG",
@@ -92,11 +92,11 @@ _TABLE = (
     _Unread("Meshroom", ("sfm.abc",), _CONVERT_IN_MESHROOM),
     _Unread("Meshroom", ("*.abc",), _CONVERT_IN_MESHROOM, b"mvg_intrinsicType"),
     _Unread("OpenMVS", ("*.mvs",), "convert it with `InterfaceCOLMAP -i SCENE.mvs -o FOLDER` (OpenMVS)"),
-    _Unread("MVE", ("views/*.mve",), "give the structure-from-motion that it was made from, or " + _PLAIN),
-    _Unread("MVE", ("*.mve/meta.ini",), "give the structure-from-motion that it was made from, or " + _PLAIN),
-    _Unread("PMVS", ("txt/[0-9]*.txt",), "give the bundle.rd.out that it was made from, or " + _PLAIN, b"CONTOUR"),
+    _Unread("MVE", ("views/*.mve",), "use the structure-from-motion model behind it, or " + _PLAIN),
+    _Unread("MVE", ("*.mve/meta.ini",), "use the structure-from-motion model behind it, or " + _PLAIN),
+    _Unread("PMVS", ("txt/[0-9]*.txt",), "use the bundle.rd.out behind it, or " + _PLAIN, b"CONTOUR"),
     _Unread(
-        "COLMAP, still without poses",
+        "COLMAP, without poses",
         ("*.db",),
         "run its mapper, or give the photographs without this file: their cameras are then found",
         b"CREATE TABLE cameras",
@@ -109,14 +109,14 @@ _TABLE = (
         "--export_color_images --export_poses --export_intrinsics`)",
     ),
     _Unread("SDFStudio", ("meta_data.json",), _PLAIN, b"camtoworld"),
-    _Unread("NeRO", ("cache.pkl", "images/*"), "give the COLMAP model that it was made from"),
+    _Unread("NeRO", ("cache.pkl", "images/*"), "use the COLMAP model behind it"),
     _Unread("Nerfies or HyperNeRF", ("camera/*.json", "dataset.json"), _PLAIN),
     _Unread("CO3D", ("frame_annotations.jgz",), _PLAIN),
-    _Unread("MegaDepth", ("imgs/*", "depths/*.h5"), "give its COLMAP model, of MegaDepth_v1_SfM, and the photographs"),
-    _Unread("DTU", ("pos_[0-9]*.txt",), "take NeuS's or MVSNet's form of the scene, or " + _PLAIN),
-    _Unread("DTU", ("cal18/pos_[0-9]*.txt",), "take NeuS's or MVSNet's form of the scene, or " + _PLAIN),
+    _Unread("MegaDepth", ("imgs/*", "depths/*.h5"), "use its COLMAP model of MegaDepth_v1_SfM and the photographs"),
+    _Unread("DTU", ("pos_[0-9]*.txt",), "use the scene in NeuS's or MVSNet's form, or " + _PLAIN),
+    _Unread("DTU", ("cal18/pos_[0-9]*.txt",), "use the scene in NeuS's or MVSNet's form, or " + _PLAIN),
     _Unread("Strecha's benchmark", ("*.jpg.camera",), _PLAIN),
-    _Unread("TUM RGB-D", ("groundtruth.txt", "rgb.txt"), "match the photographs with the poses by time, and " + _PLAIN),
+    _Unread("TUM RGB-D", ("groundtruth.txt", "rgb.txt"), "match photographs and poses by time, and " + _PLAIN),
     _Unread("7-Scenes", ("frame-[0-9]*.pose.txt",), _PLAIN),
     _Unread("Replica", ("traj.txt",), _PLAIN),
     _Unread("KITTI", ("poses.txt", "calib.txt"), _PLAIN),
@@ -148,7 +148,7 @@ def unread_cameras(root: Path) -> str | None:
         for program in _TABLE:
             if name := program.found_in(folder, names):
                 file = (folder / name).relative_to(root)
-                return f"has cameras of {program.program} ({file}), which MGSR does not read; {program.cure}"
+                return f"the cameras are of {program.program} ({file}), which MGSR does not read; {program.cure}"
     return None
 
 

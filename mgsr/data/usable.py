@@ -53,11 +53,11 @@ def _require_enough(kept: int, lost: Sequence[SceneError], capture: Capture, fol
     missing = capture.missing
     if 2 * len(missing) >= len(lost):
         raise SceneError(
-            f"only {total - len(missing)} of {total} photographs that {capture.file} names are there ({missing[0]}); "
-            f"put them into {folder.root.name}, under the names that {capture.file} has, in any folder of it"
+            f"only {total - len(missing)} of the {total} photographs named by {capture.file} exist ({missing[0]}); "
+            f"copy them anywhere into {folder.root.name}, with the names in {capture.file}"
         )
     reason = next(error for error in lost if not isinstance(error, MissingPhotoError))
-    raise SceneError(f"{len(lost)} of {total} photographs can't be used; the first: {reason}") from reason
+    raise SceneError(f"{len(lost)} of {total} photographs cannot be used; the first: {reason}") from reason
 
 
 def _notes_of_lost(lost: Sequence[SceneError], kept: int, file: str) -> tuple[str, ...]:
@@ -66,9 +66,9 @@ def _notes_of_lost(lost: Sequence[SceneError], kept: int, file: str) -> tuple[st
     broken = [error for error in lost if not isinstance(error, MissingPhotoError)]
     notes = []
     if missing:
-        notes.append(f"{_counted(len(missing), total)} of {file} left out: {in_short(missing[0])}")
+        notes.append(f"{_counted(len(missing), total)} of {file} skipped: {in_short(missing[0])}")
     if broken:
-        notes.append(f"{_counted(len(broken), total)} left out: {in_short(broken[0])}")
+        notes.append(f"{_counted(len(broken), total)} skipped: {in_short(broken[0])}")
     return tuple(notes)
 
 
@@ -77,11 +77,11 @@ def _notes_of_changes(checked: Sequence[_Checked]) -> tuple[str, ...]:
     scaled = [item.scale for item in checked if item.scale != 1]
     if scaled:
         poses = f"{_counted(len(scaled), len(checked))} with a scale in the pose"
-        notes.append(f"{poses} ({1 / scaled[0]:.4g}): it is divided out, which keeps places and directions")
+        notes.append(f"{poses} ({1 / scaled[0]:.4g}); MGSR divides it out, which keeps positions and directions")
     parts = [item.photo for item in checked if cuts_out(item.photo.K, item.photo.size)]
     if parts:
         counted = _counted(len(parts), len(checked))
-        notes.append(f"{counted} taken for parts cut out of larger ones: the principal point lies outside the image")
+        notes.append(f"{counted} treated as crops of larger ones, because the principal point lies outside the image")
     return tuple(notes)
 
 

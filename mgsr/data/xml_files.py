@@ -44,9 +44,11 @@ def _refuse_document_type(path: Path) -> None:
     """Raise SceneError where the file has a DOCTYPE, before any of its entities is read."""
 
     def refuse(*_: Any) -> None:
-        raise SceneError(f"{path.name}: has a DOCTYPE, which no program writes into such a file; refused")
+        """Raise SceneError for the DOCTYPE."""
+        raise SceneError(f"{path.name}: the file has a DOCTYPE, which no program writes there; MGSR refuses it")
 
     def stop(*_: Any) -> None:
+        """Raise _RootReachedError at the first element."""
         raise _RootReachedError
 
     parser = expat.ParserCreate()

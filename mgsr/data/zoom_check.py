@@ -28,8 +28,8 @@ def zoom_note(colmap: Any, model: Any) -> tuple[str, ...]:
     if off < max(_FEWEST_PHOTOS, _LEAST_SHARE * len(ratios)):
         return ()
     return (
-        f"{off} of {len(ratios)} photographs do not fit the lens that they share with others; if they were zoomed or "
-        "cropped, the cameras are wrong: find them again with `--set camera_per_image=on`",
+        f"{off} of {len(ratios)} photographs do not fit the lens that they share with others; if you zoomed or "
+        "cropped them, the cameras are wrong, so find them again with `--set camera_per_image=on`",
     )
 
 

@@ -78,7 +78,9 @@ def load_compressed_ply(path: Path) -> Splats:
         rest = _load_harmonics(data, len(vertices))
         quats = _unpacked_rotations(vertices["packed_rotation"])
     except (PlyParseError, *DAMAGE) as error:
-        raise SceneError(f"{path}: expected a compressed PLY of splats: {in_short(error)}; write it again") from error
+        raise SceneError(
+            f"{path}: expected a compressed PLY file of splats: {in_short(error)}; write it again"
+        ) from error
     alpha = np.clip(color[:, 3], 0.5 / 255, 1 - 0.5 / 255)
     splats = {
         "means": values["position"],

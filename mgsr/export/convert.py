@@ -55,15 +55,16 @@ def require_kinds(source: Path, target: Path, up: UpAxis | None = None) -> None:
     an up axis.
     """
     if not source.is_file():
-        raise ConfigError(f"{source}: no such file")
+        raise ConfigError(f"{source}: this file does not exist")
     kind, suffixes = ("splats", _SPLATS) if _holds_splats(source) else ("a mesh", _MESHES)
     if _suffix(target) not in suffixes:
         raise ConfigError(
-            f"{target}: {source} is taken as {kind}, which can become a file that ends in {', '.join(suffixes)}; "
-            "name one of them"
+            f"{target}: {source} is read as {kind}; choose a target with the extension {', '.join(suffixes)}"
         )
     if up is not None and _suffix(target) != ".glb":
-        raise ConfigError(f"--up {up}: only .glb files are turned, {target} keeps the frame of {source}; leave it out")
+        raise ConfigError(
+            f"--up {up}: only .glb files are turned, and {target} keeps the frame of {source}; remove --up"
+        )
 
 
 def _suffix(target: Path) -> str:
@@ -94,9 +95,9 @@ def _convert_splats(source: Path, target: Path, scale: float) -> str:
         unit, low_pass = (read_number(source, name) for name in (UNIT, LOW_PASS))
         write_splats(target, splats, to_target, unit * scale, low_pass, origin)
     else:
-        text += ", without their reflected half" if "refl_sh" in splats else ""
+        text += ", without their reflected light" if "refl_sh" in splats else ""
         _pack_splats(source, target, splats, to_target, origin)
-    return text + (f", about the origin {origin_text(origin)}, which the file names" if origin.any() else "")
+    return text + (f", relative to the origin {origin_text(origin)}, which the file records" if origin.any() else "")
 
 
 def _pack_splats(source: Path, target: Path, splats: Splats, to_target: Similarity, origin: np.ndarray) -> None:
@@ -121,8 +122,8 @@ def _scaled(places: np.ndarray, scale: float) -> np.ndarray:
     largest, limits = np.abs(scaled).max(initial=0), np.finfo(np.float32)
     if np.any(places) and not limits.tiny <= largest <= limits.max:
         raise ConfigError(
-            f"--scale {scale:g}: makes places of up to {np.abs(places).max():g} units {largest:g}; expected "
-            f"{limits.tiny:.0e} to {limits.max:.0e}, nearer to 1"
+            f"--scale {scale:g}would turn coordinates of up to {np.abs(places).max():g} units into {largest:g}; "
+            f"expected {limits.tiny:.0e} to {limits.max:.0e}; choose a scale nearer to 1"
         )
     return scaled
 

@@ -65,13 +65,15 @@ def load_environment_map(path: Path) -> StoredEnvironmentMap:
         bounce = content.get("bounce", np.ones(3)).astype(np.float32)
         surface = _surface(content)
     except (ValueError, KeyError) as error:
-        raise SceneError(f"{path}: not an environment map ({in_short(error)}); train again, or remove it") from error
+        raise SceneError(
+            f"{path}: the file holds no environment map ({in_short(error)}); train again, or remove it"
+        ) from error
     side = images[0].shape[0] if images[0].ndim else 0
     if bounce.shape != (3,) or any(image.shape != (side, side, 3) or not side for image in images):
         shapes = ", ".join(str(array.shape) for array in (*images, bounce))
-        raise SceneError(f"{path}: expected two maps [S,S,3] and a bounce [3], got {shapes}; train again or remove it")
+        raise SceneError(f"{path}: expected two maps [S,S,3] and a bounce [3], got {shapes}; train again, or remove it")
     if not all(np.isfinite(array).all() for array in (*images, bounce)):
-        raise SceneError(f"{path}: expected maps and a bounce of finite numbers; train again or remove it")
+        raise SceneError(f"{path}: expected finite numbers in maps and bounce; train again, or remove it")
     return StoredEnvironmentMap(np.moveaxis(np.stack(images), -1, 1), bounce, surface)
 
 
@@ -83,7 +85,7 @@ def _surface(content: dict[str, np.ndarray]) -> Mesh | None:
     origin = content.get("origin", no_origin()).astype(float)
     right = vertices.ndim == faces.ndim == 2 and vertices.shape[1] == faces.shape[1] == 3 == origin.size
     if not right or not len(faces) or faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError(f"its mesh: expected vertices [V,3] and faces [F,3], got {vertices.shape}, {faces.shape}")
+        raise ValueError(f"mesh: expected vertices [V,3] and faces [F,3], got {vertices.shape}, {faces.shape}")
     if not (np.isfinite(vertices).all() and np.isfinite(origin).all()):
-        raise ValueError("its mesh: expected finite vertices")
+        raise ValueError("mesh: expected finite vertices")
     return Mesh(vertices + origin, faces)

@@ -77,7 +77,7 @@ def read_origin_text(words: Sequence[str], source: str) -> np.ndarray:
         origin = np.zeros(0)
     if origin.shape != (3,) or not np.isfinite(origin).all():
         raise SceneError(
-            f"{source}: its origin: expected three finite numbers, got {' '.join(words)[:80]!r}; write the file again"
+            f"{source}: expected an origin of three finite numbers, got {' '.join(words)[:80]!r}; write the file again"
         )
     return origin
 
@@ -89,8 +89,8 @@ def origin_notes(user_from_scene: Similarity, unit: float = 1.0) -> list[str]:
         return []
     away = float(f"{np.linalg.norm(user_from_scene.offset * unit):.2g}")
     return [
-        f"the frame's origin lies {away:,.{_DIGITS}g} units away: splat files are written about "
-        f"{origin_text(origin)}, which they name; add it to their positions"
+        f"the frame's origin lies {away:,.{_DIGITS}g} units away, so splat files have positions relative to "
+        f"{origin_text(origin)}, which they record; add it to the positions"
     ]
 
 

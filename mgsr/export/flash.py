@@ -1,11 +1,14 @@
 """`flash.npz`: a flash on the camera, and the surface that it lights, as a run found them before training.
 
-Arrays: `vertices` [V,3] and `faces` [F,3] of the surface, in the user's frame; `ambient` [V], the light at each vertex
-that is not the lamp's; `proxy_vertex` [V], the index of the vertex from which each vertex takes position, normal and
-light, where photographs do not confirm its own; `lamp` [3]: how far the lamp is to the right of the lens and below it,
-in the user's unit, and the light that it sends to a surface that faces it at a distance of 1. Light is a share of the
-brightest in the photographs. The splats' transmitted colours are those under even light. In a pixel that gets the light
-l, the transmitted colour c, in sRGB, becomes (c + 0.055) l^(1/2.4) - 0.055.
+- `vertices` [V,3], `faces` [F,3]: the surface, in the user's frame.
+- `besides` [V]: the ambient light at each vertex, which does not come from the lamp.
+- `like` [V]: the proxy vertex from which each vertex takes position, normal and light. It is another one where
+  photographs do not confirm its own.
+- `lamp` [3]: how far the lamp is to the right of the lens and below it, in the user's unit, and the light that it sends
+  to a surface that faces it at a distance of 1.
+
+Light is a share of the brightest in the photographs. The splats' transmitted colours are those under even light. In a
+pixel that gets the light l, the transmitted colour c, in sRGB, becomes (c + 0.055) l^(1/2.4) - 0.055.
 
 Where the origin of the user's frame lies far away, there is also `origin` [3] (see `far_origin.py`): the vertices'
 places in the frame are `vertices` plus `origin`.
@@ -49,7 +52,7 @@ def load_flash(path: Path) -> Lighting:
         faces, proxy_vertex = content["faces"].astype(np.int64), content["like"].astype(np.int64)
         origin = content.get("origin", no_origin()).astype(float)
     except (ValueError, KeyError) as error:
-        raise SceneError(f"{path}: not a flash ({in_short(error)}); train again, or remove it") from error
+        raise SceneError(f"{path}: the file holds no flash ({in_short(error)}); train again, or remove it") from error
     count = len(vertices)
     right = vertices.shape == (count, 3) and ambient.shape == proxy_vertex.shape == (count,)
     right = right and lamp.shape == origin.shape == (3,)
@@ -57,8 +60,8 @@ def load_flash(path: Path) -> Lighting:
     right = right and all(indices.min() >= 0 and indices.max() < count for indices in (faces, proxy_vertex))
     if not right or not all(np.isfinite(array).all() for array in (vertices, ambient, lamp, origin)):
         raise SceneError(
-            f"{path}: expected vertices [V,3], besides [V], lamp [3], origin [3] of finite numbers, faces [F,3] and "
-            f"like [V] of indices, got {vertices.shape}, {ambient.shape}, {lamp.shape}, {origin.shape}, {faces.shape}, "
-            f"{proxy_vertex.shape}; train again, or remove it"
+            f"{path}: expected finite vertices [V,3], besides [V], lamp [3] and origin [3], and indices faces [F,3] "
+            f"and like [V], got {vertices.shape}, {ambient.shape}, {lamp.shape}, {origin.shape}, "
+            f"{faces.shape}, {proxy_vertex.shape}; train again, or remove it"
         )
     return Lighting(Mesh(vertices + origin, faces), ambient, proxy_vertex, *lamp.tolist())

@@ -21,9 +21,9 @@ def check_mesh(mesh: Mesh, **attributes: np.ndarray) -> None:
     """
     vertices, faces = mesh.vertices, mesh.faces
     if len(faces) == 0:
-        raise MeshError("mesh export: expected at least one face, got none; an empty mesh is not written")
+        raise MeshError("mesh export: expected at least one face, got none")
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= len(vertices):
-        raise MeshError(f"mesh export: faces: expected [F, 3] indices under V={len(vertices)}, got {list(faces.shape)}")
+        raise MeshError(f"mesh export: faces: expected indices [F, 3] below V={len(vertices)}, got {list(faces.shape)}")
     for name, array in {"vertices": vertices, "normals": mesh.normals, **attributes}.items():
         if array.shape != (len(vertices), 3):
             raise MeshError(f"mesh export: {name}: expected [V={len(vertices)}, 3], got {list(array.shape)}")
@@ -81,7 +81,7 @@ def write_textured_glb(
     """Write a mesh with a textured material as binary glTF 2.0.
 
     uvs: [V,2] in 0..1 from the upper left corner of the material's pictures. tangents: [V,4], unit, with the sign of
-    the bitangent. See `glb`; the other arguments and errors as of `write_ply`.
+    the bitangent. See `glb`; the other arguments and errors as of `write_ply`. Raises MeshError if uvs has another shape.
     """
     check_mesh(mesh)
     for name, array, columns in (("uvs", uvs, 2), ("tangents", tangents, 4)):

@@ -50,7 +50,7 @@ def load_mesh(path: Path) -> StoredMesh:
     except MeshError:
         raise
     except Exception as error:  # trimesh's readers raise whatever their formats' libraries do
-        raise MeshError(f"{path}: not a mesh that can be read: {in_short(error)}; export it again") from error
+        raise MeshError(f"{path}: this file is not a readable mesh: {in_short(error)}; export it again") from error
     if not parts:
         raise MeshError(f"{path}: expected a mesh with faces, got none; export its faces too")
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
@@ -67,7 +67,9 @@ def _read_parts(path: Path) -> list[StoredMesh]:
 
     materials: list[_Material] = []
     if path.suffix.lower() == ".gltf":
-        raise MeshError(f"{path}: .gltf is not read; pack it, such as by `gltf-transform copy A.gltf B.glb`")
+        raise MeshError(
+            f"{path}: MGSR does not read .gltf; convert it, for example with `gltf-transform copy A.gltf B.glb`"
+        )
     if path.suffix.lower() == ".glb":
         data, materials = _plain_glb(path)
         scene: Any = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False)
@@ -86,7 +88,7 @@ def _part(pose: np.ndarray, mesh: Any, path: Path, materials: list[_Material]) -
     bad = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())
     if bad:
         raise MeshError(
-            f"{path}: {bad} of {len(mesh.vertices)} vertices are NaN or infinite; remove them and export again"
+            f"{path}: {bad} of {len(mesh.vertices)} vertices are NaN or infinite; remove them and export the mesh again"
         )
     vertices = np.asarray(mesh.vertices) @ pose[:3, :3].T + pose[:3, 3]
     normals = np.asarray(mesh.vertex_normals) @ np.linalg.inv(pose[:3, :3])
@@ -123,7 +125,7 @@ def _gltf_colors(mesh: Any, path: Path, materials: list[_Material]) -> np.ndarra
     picture = _picture_colors(mesh, mesh.visual.material.baseColorTexture)
     stored = mesh.visual.vertex_attributes.get("color")
     if material.pictured and picture is None and mesh.visual.uv is not None:
-        raise MeshError(f"{path}: a picture in it can't be read; export it with PNG or JPEG")
+        raise MeshError(f"{path}: one of its images cannot be read; export it with PNG or JPEG images")
     if stored is None and picture is None and material.factor is None:
         return np.full((len(mesh.vertices), 3), _GREY)
     linear = np.ones((len(mesh.vertices), 3))
@@ -159,8 +161,8 @@ def _plain_glb(path: Path) -> tuple[bytes, list[_Material]]:
     unknown = set(document.get("extensionsRequired", ())) - _KNOWN_EXTENSIONS
     if unknown:
         raise MeshError(
-            f"{path}: needs {', '.join(sorted(unknown))}, which is not read; export it without compression and "
-            "extensions, such as by `gltf-transform dequantize`"
+            f"{path}: it requires {', '.join(sorted(unknown))}, which MGSR does not read; export it without "
+            "compression and extensions, for example with `gltf-transform dequantize`"
         )
     given = [material.get("pbrMetallicRoughness", {}) for material in document.get("materials", ())] + [{}]
     for mesh in document.get("meshes", ()):
@@ -179,10 +181,12 @@ def _plain_glb(path: Path) -> tuple[bytes, list[_Material]]:
 def _glb_chunks(path: Path) -> tuple[dict[str, Any], bytes]:
     data = path.read_bytes()
     if data[:4] != b"glTF" or data[4:8] != struct.pack("<I", 2) or data[16:20] != b"JSON":
-        raise MeshError(f"{path}: expected binary glTF 2.0, got {len(data)} bytes of something else; export it again")
+        raise MeshError(f"{path}: expected binary glTF 2.0, got {len(data)} bytes of another format; export it again")
     end = 20 + int.from_bytes(data[12:16], "little")
     if int.from_bytes(data[8:12], "little") > len(data):
-        raise MeshError(f"{path}: ends early: its header says more than its {len(data)} bytes; export it again")
+        raise MeshError(
+            f"{path}: the file is truncated: its header announces more than its {len(data)} bytes; export it again"
+        )
     return json.loads(data[20:end]), data[end + 8 :]
 
 
@@ -191,6 +195,6 @@ def _check_uvs(path: Path, document: dict[str, Any], primitive: dict[str, Any], 
     if texture is None:
         return
     if texture.get("texCoord") or "KHR_texture_transform" in texture.get("extensions", {}):
-        raise MeshError(f"{path}: a picture is placed by other than TEXCOORD_0 as it is; export it with one UV map")
+        raise MeshError(f"{path}: a texture uses other coordinates than TEXCOORD_0; export it with one UV map")
     if place is not None and document["accessors"][place]["componentType"] != _FLOAT:
-        raise MeshError(f"{path}: TEXCOORD_0 is not float, which is not read; export it without compression")
+        raise MeshError(f"{path}: expected float values in TEXCOORD_0; export it without compression")

@@ -87,7 +87,7 @@ def write_view(folder: Path, name: str, view: Rendering) -> list[Path]:
 def _path(folder: Path, name: str) -> Path:
     path = folder / f"{name}.png"
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise SceneError(f"view name {name!r}: expected one that stays inside {folder}; rename the image")
+        raise SceneError(f"view name {name!r}: expected a name inside {folder}; rename the image")
     path.parent.mkdir(parents=True, exist_ok=True)
     return path
 
@@ -113,6 +113,8 @@ def _write(path: Path, image: np.ndarray, depth_scale: str | None) -> Path:
         spec.attribute("depth_scale", depth_scale)
     output = OpenImageIO.ImageOutput.create(str(path))
     if output is None or not output.open(str(path), spec) or not output.write_image(np.ascontiguousarray(image)):
-        raise MgsrError(f"{path}: can't be written: {output.geterror() if output else OpenImageIO.geterror()}")
+        raise MgsrError(
+            f"{path}: the file cannot be written: {output.geterror() if output else OpenImageIO.geterror()}"
+        )
     output.close()
     return path

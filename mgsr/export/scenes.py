@@ -108,7 +108,7 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
 
     path.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(path), np.ascontiguousarray(pixels)):
-        raise MgsrError(f"{path}: can't be written; look at the folder's rights and the free space")
+        raise MgsrError(f"{path}: the file cannot be written; check the folder's permissions and the free disk space")
 
 
 def _write_colmap(

@@ -84,7 +84,7 @@ def load_splats(path: Path) -> Splats:
         data = PlyData.read(str(path))
         splats = _splats(data["vertex"], path, _notes(data.comments))
     except (PlyParseError, *DAMAGE) as error:
-        raise SceneError(f"{path}: expected a PLY of splats: {in_short(error)}; write it again") from error
+        raise SceneError(f"{path}: expected a PLY file of splats: {in_short(error)}; write it again") from error
     _check(splats, str(path))
     return splats
 
@@ -96,8 +96,8 @@ def require_finite(splats: Splats, source: Path) -> None:
         bad = int((~allowed.reshape(len(array), -1)).any(axis=1).sum()) if len(array) else 0
         if bad:
             raise SceneError(
-                f"{source}: {name} of {bad} of {len(array)} splats are NaN or infinite; remove those splats, such as "
-                "by `splat-transform A.ply --filter-nan B.ply`"
+                f"{source}: {name} of {bad} of {len(array)} splats are NaN or infinite; remove these splats, for "
+                "example with `splat-transform A.ply --filter-nan B.ply`"
             )
 
 
@@ -112,6 +112,7 @@ def _splats(vertex: PlyElement, path: Path, notes: dict[str, str]) -> Splats:
     _check_properties(names, path)
 
     def stack(prefix: str, count: int) -> np.ndarray:
+        """Return the columns prefix0, prefix1, ... of the file as float32 [N, count]."""
         return np.stack([np.asarray(vertex[f"{prefix}{index}"], np.float32) for index in range(count)], axis=1)
 
     sh = _load_sh(vertex, names, _COLOR)
@@ -141,10 +142,12 @@ def _places(vertex: PlyElement) -> np.ndarray:
 def _check_properties(names: set[str], path: Path) -> None:
     missing = [name for name in ("x", "f_dc_0", "opacity", "scale_0", "rot_0") if name not in names]
     if missing:
-        raise SceneError(f"{path}: expected splats in the viewers' layout; it has no {', '.join(missing)}")
+        raise SceneError(f"{path}: expected splats in the viewers' layout, but the file lacks {', '.join(missing)}")
     lost = [name for name in _SPLIT_FIELDS if name not in names]
     if lost and "refl_opacity" in names:
-        raise SceneError(f"{path}: expected a whole reflected half; it has no {', '.join(lost)}; write it again")
+        raise SceneError(
+            f"{path}: expected all properties of reflected light, but the file lacks {', '.join(lost)}; write it again"
+        )
 
 
 def _load_sh(vertex: PlyElement, names: set[str], prefix: str) -> np.ndarray:
@@ -221,5 +224,5 @@ def _wanted(name: str, count: int) -> str:
     if name == "log_scales":
         return f"[N={count}, 2 or 3]"
     if name in ("sh", "refl_sh"):
-        return f"[N={count}, 1 or 4 or 9 or 16, 3] (degree 3 at most)"
+        return f"[N={count}, 1 or 4 or 9 or 16, 3] (at most degree 3)"
     return f"[N={', '.join(map(str, (count, *_SHAPES[name])))}]"

@@ -1,11 +1,12 @@
 """Splats as SPZ, Niantic's packed format: about a tenth of the PLY's size, with hardly visible rounding.
 
-Source: the README of Niantic's spz and its versions 2 and 3: gzip of a 16-byte header and one array after the other,
-all bytes: positions as 24-bit fixed point, opacities, colours, log scales in sixteenths, quaternions, and higher colour
-coefficients with 5 bits in the first degree and 4 in the others. Version 2 keeps x, y, z of the quaternion with w >= 0,
-version 3 the three smaller parts in ten bits each. The format has y up and z backwards where splat PLYs have y down and
-z forward, so everything is turned by half a turn about x on the way, as Niantic's own converter does. The format has no
-place for the light split's reflected half.
+The file is the gzip of a 16-byte header and these arrays of bytes: positions as 24-bit fixed point, opacities, colours,
+log scales in sixteenths, quaternions, and higher colour coefficients with 5 bits in the first degree and 4 in the
+others. Version 2 keeps x, y, z of the quaternion with w >= 0, version 3 the three smaller parts in ten bits each.
+Source: the README of Niantic's spz, versions 2 and 3.
+
+The format has y up and z backwards where splat PLYs have y down and z forward. All data therefore turns by half a turn
+about x, as in Niantic's own converter. The format has no place for reflected light.
 
 It has no place for notes either. Where positions are about another origin than the frame's, the comment of the gzip
 header (RFC 1952, section 2.3), which decoders skip, names it as PLYs do (`ply_notes.py`): "mgsr origin X Y Z", in the
@@ -96,7 +97,8 @@ def load_spz(path: Path) -> Splats:
     sizes = [9, 1, 3, 3, 3 if version == 2 else 4, 3 * (coefficients - 1)]
     if len(body) < count * sum(sizes):
         raise SceneError(
-            f"{path}: ends early: expected {count * sum(sizes)} bytes of splats, got {len(body)}; write it again"
+            f"{path}: the file is truncated: expected {count * sum(sizes)} bytes of splats, got {len(body)}; write it "
+            "again"
         )
     edges = np.cumsum([0, *sizes]) * count
     parts = [np.frombuffer(body[a:b], np.uint8) for a, b in pairwise(edges)]
@@ -162,7 +164,7 @@ def _unpacked(path: Path) -> tuple[tuple[int, ...], bytes]:
     with path.open("rb") as raw:
         if raw.read(4) == _MAGIC.to_bytes(4, "little"):
             raise SceneError(
-                f"{path}: SPZ of version 4 or later, which is not read; write it as version 3, such as by "
+                f"{path}: MGSR does not read SPZ version 4 or later; convert it to version 3, for example with "
                 "`splat-transform --spz-version 3 A.spz B.spz`"
             )
     try:
@@ -171,12 +173,12 @@ def _unpacked(path: Path) -> tuple[tuple[int, ...], bytes]:
             magic, version, count, degree = header[:4]
             if magic != _MAGIC or version not in _READ or degree > 3 or count > _MAX_SPLATS:
                 raise SceneError(
-                    f"{path}: expected SPZ of version 2 or 3 with at most degree 3 and {_MAX_SPLATS} splats, "
-                    f"got version {version}, degree {degree}, {count} splats; write it so, or as a PLY"
+                    f"{path}: expected SPZ of version 2 or 3 with at most degree 3 and {_MAX_SPLATS} splats, got "
+                    f"version {version}, degree {degree}, {count} splats; write it so, or as a PLY file"
                 )
             return header, file.read(count * 65)
     except (OSError, EOFError, zlib.error, struct.error) as error:
-        raise SceneError(f"{path}: not an SPZ file: {in_short(error)}; write it again") from error
+        raise SceneError(f"{path}: this file is not an SPZ file: {in_short(error)}; write it again") from error
 
 
 def _from_three_bytes(rotation: np.ndarray) -> np.ndarray:
@@ -214,8 +216,8 @@ def _check_sizes(log_scales: np.ndarray) -> None:
     if share > _MAX_CUT_OFF:
         factor = 10.0 ** round((-4 - float(np.median(middle))) / math.log(10))
         raise SceneError(
-            f"{share:.0%} of the splats have sizes that SPZ can't hold, which are {math.exp(low):.1g} to "
-            f"{math.exp(high):.0f} units; multiply --scale, which is 1 unless given, by {factor:g}"
+            f"{share:.0%} of the splats have sizes outside the range of SPZ, {math.exp(low):.1g} to "
+            f"{math.exp(high):.0f} units; multiply --scale (default 1) by {factor:g}"
         )
 
 
@@ -224,7 +226,10 @@ def _fraction_bits(means: np.ndarray) -> int:
     farthest = float(np.abs(means).max(initial=0))
     bits = math.floor(math.log2((2**23 - 1) / farthest)) if farthest > 1 else _MAX_FRACTION_BITS
     if bits < 0:
-        raise SceneError(f"a mean lies {farthest:g} units out; SPZ holds 8,388,607: move or scale the splats first")
+        raise SceneError(
+            f"expected coordinates of at most 8,388,607 units, the limit of SPZ, got {farthest:g}; move or scale the "
+            "splats first"
+        )
     return min(bits, _MAX_FRACTION_BITS)
 
 

@@ -113,5 +113,5 @@ class GaussianModel:
 
 
 def _stored(tensor: Tensor | None) -> Tensor:
-    assert tensor is not None, "this model has no reflected half"
+    assert tensor is not None, "this model has no reflected light"
     return tensor

@@ -185,7 +185,7 @@ def _photo(
 
 
 def _rendered(depth: Tensor | None) -> Tensor:
-    assert depth is not None, "the stage rendered no depth"
+    assert depth is not None, "the stage did not render depth"
     return depth
 
 

@@ -143,15 +143,15 @@ def _by_tsdf(context: StepContext) -> Mesh:
 
 def _nothing_seen(views: Sequence[SurfaceView], config: MeshConfig) -> str:
     if not views:
-        return "empty mesh: no views were rendered; give at least two"
+        return "empty mesh: expected at least two rendered views, got none"
     best = max(float(view.alpha.max()) for view in views)
     return (
         f"empty mesh: no pixel of the {len(views)} rendered views has a depth and an alpha of "
-        f"mesh.min_alpha={config.min_alpha} (the largest alpha is {best:.2f}): the 2D branch shows no surface; "
-        "train it longer or look at its opacities"
+        f"mesh.min_alpha={config.min_alpha} (the largest alpha is {best:.2f}); the 2D branch shows no surface, so "
+        "train it longer or check its opacities"
     )
 
 
 def _all_dropped(config: MeshConfig) -> str:
-    reason = "every pixel's point was dropped as grazing, blended, contradicted or too far"
+    reason = "every point was dropped as grazing, blended, contradicted or too far away"
     return f"empty mesh: {reason}; {cure(config)}"

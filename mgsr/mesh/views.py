@@ -34,7 +34,8 @@ class SurfaceView:
             image = getattr(self, name)
             if image is not None and image.shape != size + channels:
                 raise MeshError(
-                    f"{name} of a surface view: expected {[*size, *channels]} as its camera, got {list(image.shape)}"
+                    f"{name} of a surface view: expected the camera's shape {[*size, *channels]}, got "
+                    f"{list(image.shape)}"
                 )
 
     def usable(self, min_alpha: float) -> np.ndarray:

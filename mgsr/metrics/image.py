@@ -50,6 +50,7 @@ def ssim(truth: np.ndarray, image: np.ndarray, valid: np.ndarray | None = None) 
     """
 
     def blur(values: np.ndarray) -> np.ndarray:
+        """Return the Gaussian mean of values [H,W,3] around each pixel."""
         return np.asarray(gaussian_filter(values, (1.5, 1.5, 0), truncate=3.5))
 
     a, b = truth.astype(np.float64), image.astype(np.float64)

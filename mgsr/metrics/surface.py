@@ -31,7 +31,7 @@ def surface_metrics(mesh: Mesh, truth: TrueSurface) -> dict[str, float]:
     Raises MeshError for a mesh without faces.
     """
     if len(mesh.faces) == 0:
-        raise MeshError("surface metrics: expected a mesh with faces, got none; extract a surface first")
+        raise MeshError("surface metrics: expected a mesh with faces, got no faces; extract a surface first")
     sparse, dense = (sample_surface(mesh, count, seed) for seed, count in enumerate((POINTS, DENSE)))
     seen = truth.view_counts >= MIN_VIEWS
     seen_truth = Samples(truth.labelled.points[seen], truth.labelled.normals[seen])

@@ -53,7 +53,9 @@ def load_truth(folder: Path, train_cameras: Sequence[Camera]) -> TrueSurface | N
     stored = trimesh.load_mesh(path, process=False)
     mesh = Mesh(np.asarray(stored.vertices, np.float64), np.asarray(stored.faces, np.int64))
     if len(mesh.faces) == 0:
-        raise SceneError(f"{path}: expected a triangle mesh, found no faces; remove it or write the true surface")
+        raise SceneError(
+            f"{path}: expected a triangle mesh, found no faces; write the true surface, or remove the file"
+        )
     middle = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
     radius = float(np.linalg.norm(mesh.vertices - middle, axis=1).max())
     labelled, counts = _labels(folder / "points_gt.npz", mesh, train_cameras, radius)

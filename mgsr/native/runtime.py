@@ -11,7 +11,10 @@ FAMILIES: tuple[ModuleType, ...] = (_gaussians, _surfels, _image, _harmonics, _a
 
 
 def set_threads(n: int) -> None:
-    """Let the kernels use ``n`` threads; 0 means all processors of this process. Results don't depend on it."""
+    """Let the kernels use ``n`` threads; 0 means all processors of this process. Results don't depend on it.
+
+    Raises ConfigError for a negative number.
+    """
     if n < 0:
         raise ConfigError(f"threads: expected 0 (all processors) or more, got {n}")
     for family in FAMILIES:
@@ -24,7 +27,10 @@ def isas() -> list[str]:
 
 
 def set_isa(name: str) -> None:
-    """Use one compiled variant in all families. Results differ between variants by rounding only."""
+    """Use one compiled variant in all families. Results differ between variants by rounding only.
+
+    Raises ConfigError for a variant that this processor does not run.
+    """
     if name not in isas():
         raise ConfigError(f"isa: expected one of {', '.join(isas())}, got {name}")
     for family in FAMILIES:

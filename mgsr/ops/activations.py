@@ -38,6 +38,7 @@ def shares(logits: Tensor) -> Tensor:
 class _Activate(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, kinds: Sequence[Activation], *stored: Tensor) -> tuple[Tensor, ...]:
+        """Return the activated values of the stored tensors [N,...], in the same shapes."""
         ctx.kinds, ctx.launcher = kinds, launcher_for(stored[0])
         used = activated(ctx.launcher, kinds, [plain(tensor) for tensor in stored])
         ctx.save_for_backward(*used)

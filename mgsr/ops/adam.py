@@ -104,12 +104,15 @@ class FusedAdam:
             self._adopt(name, param.detach()[rows], self._first[name][rows], self._second[name][rows])
 
     def extend(self, rows: Mapping[str, torch.Tensor]) -> None:
-        """Append rows [M, ...] to every parameter, with zero moments. Parameters become new leaves."""
+        """Append rows [M, ...] to every parameter, with zero moments. Parameters become new leaves.
+
+        Raises TensorError for other names, or different numbers of rows.
+        """
         if set(rows) != set(self.params):
             raise TensorError(f"rows: expected {sorted(self.params)}, got {sorted(rows)}")
         if len({new.shape[0] for new in rows.values()}) > 1:
             counts = {name: new.shape[0] for name, new in rows.items()}
-            raise TensorError(f"rows: expected equally many for each name, got {counts}")
+            raise TensorError(f"rows: expected the same number for each name, got {counts}")
         for name, new in rows.items():
             new = new.detach()
             zeros = torch.zeros_like(new)

@@ -31,8 +31,9 @@ def once_differentiable(backward: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(backward)
     def checked(ctx: Any, *gradients: torch.Tensor | None) -> Any:
+        """Call backward. Raises TensorError if gradients of gradients are wanted."""
         if torch.is_grad_enabled():
-            raise TensorError("create_graph: expected False, got True; gradients of MGSR's operations have none")
+            raise TensorError("create_graph: expected False, got True; MGSR's operations have no second derivatives")
         return backward(ctx, *gradients)
 
     return checked

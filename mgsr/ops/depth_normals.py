@@ -71,6 +71,7 @@ def normal_agreement_term(
 class _DepthNormals(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | None) -> torch.Tensor:
+        """Return the normals [H,W,3] of a depth [H,W], which alpha [H,W] divides."""
         depth, alpha = plain(depth), None if alpha is None else plain(alpha)
         launcher = launcher_for(depth)
         ctx.kernels = _image if launcher is None else ImageKernels(launcher)
@@ -83,6 +84,7 @@ class _DepthNormals(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_normals: torch.Tensor) -> tuple[torch.Tensor, None, None]:
+        """Return the gradient [H,W] of the depth from that of the normals [H,W,3]."""
         depth, alpha = ctx.saved_tensors
         v_depth = torch.empty_like(depth)
         surface = DepthSurface(depth=depth, alpha=alpha, camera=ctx.camera)

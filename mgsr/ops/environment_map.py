@@ -38,7 +38,7 @@ def look_up_environment_map(
         expected, came = f"[{camera.height}, {camera.width}, 3]", f"[{sizes['H']}, {sizes['W']}, 3]"
         raise TensorError(f"normals: expected the camera's {expected}, got {came}; use camera.resized(width, height)")
     if not sizes["S"]:
-        raise TensorError("maps: expected a texel at least, got [2, 0, 0, 3]")
+        raise TensorError("maps: expected at least one texel, got [2, 0, 0, 3]")
     if pixels is not None and (pixels.ndim != 1 or pixels.dtype != torch.int64 or pixels.device != normals.device):
         came = f"{pixels.dtype} {list(pixels.shape)} on {pixels.device}"
         raise TensorError(f"pixels: expected int64 [P] on {normals.device}, got {came}")
@@ -51,6 +51,7 @@ class _EnvironmentMapLookup(torch.autograd.Function):
     def forward(
         ctx: Any, maps: torch.Tensor, normals: torch.Tensor, camera: Camera, pixels: torch.Tensor | None
     ) -> torch.Tensor:
+        """Return the light [H,W,3] that maps [2,S,S,3] send to normals [H,W,3], at pixels [P] or everywhere."""
         maps, normals, pixels = plain(maps), plain(normals), None if pixels is None else plain(pixels)
         launcher = launcher_for(normals)
         ctx.kernels = _environment_map if launcher is None else EnvironmentMapKernels(launcher)
@@ -64,6 +65,7 @@ class _EnvironmentMapLookup(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_light: torch.Tensor) -> tuple[torch.Tensor | None, torch.Tensor | None, None, None]:
+        """Return the gradients of maps [2,S,S,3] and normals [H,W,3] from that of the light [H,W,3]."""
         maps, normals, pixels = ctx.saved_tensors
         v_maps = torch.empty_like(maps) if ctx.needs_input_grad[0] else None
         v_normals = _like(normals, pixels) if ctx.needs_input_grad[1] else None

@@ -49,6 +49,7 @@ def check_degree(coeffs: torch.Tensor, degree: int) -> None:
 class _Harmonics(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, coeffs: torch.Tensor, means: torch.Tensor, center: torch.Tensor, degree: int) -> torch.Tensor:
+        """Return the colours [N,3] of coefficients [N,K,3] and means [N,3], seen from a centre [3]."""
         coeffs, means, center = plain(coeffs), plain(means), plain(center)
         ctx.launcher, ctx.degree = launcher_for(means), degree
         rgb = harmonics(ctx.launcher, Harmonics(coeffs=coeffs, means=means, center=center, degree=degree))
@@ -58,6 +59,7 @@ class _Harmonics(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_rgb: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None, None, None]:
+        """Return the gradients of coefficients [N,K,3] and means [N,3] from that of the colours [N,3]."""
         coeffs, means, center, rgb = ctx.saved_tensors
         v_means = torch.zeros_like(means) if ctx.needs_input_grad[1] else None
         splats = Harmonics(coeffs=coeffs, means=means, center=center, degree=ctx.degree)

@@ -43,6 +43,7 @@ def image_loss_term(
     l1_weight: 0..1.
     mask: [H, W] weights >= 0 or None; both terms become sum(mask * x) / sum(mask). SSIM windows still read the pixels
     that the mask leaves out. A mask of zeros gives a loss of zero.
+
     clip: clip image values above 1 to 1, without gradient. Photographs clip, so where one is white, any brighter
     rendering is equally right.
     mask_sum: the mask's sum, if known, which saves a reduction on the GPU.

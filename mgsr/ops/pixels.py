@@ -82,9 +82,10 @@ def squares_term(
 ) -> Term:
     """Return the sum of the squares of (a - b) * weights - offset, divided by `by`.
 
-    a and b, of one shape: gradients flow. weights: two, of that shape, each 0 or 1; None is 1 everywhere, as both must
-    be beside an offset. by: a number, or one in a tensor [] float32, which is not read. Raises TensorError for wrong
-    dtypes or shapes.
+    a, b: [...], of one shape; gradients flow. weights: two, of that shape, each 0 or 1; None is 1 everywhere, as both
+    must be beside an offset. by: a number, or one in a tensor [] float32, which is not read.
+
+    Raises TensorError for wrong dtypes or shapes.
     """
     of_a, of_b = wanted(a)[0], b is not None and wanted(b)[0]
     shape = " ".join(str(size) for size in a.shape)

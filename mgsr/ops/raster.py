@@ -51,6 +51,7 @@ class Rasterize(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, pass_: RasterPass, *tensors: Tensor | None) -> tuple[Tensor | None, ...]:
+        """Return the images [H,W] or [H,W,3] of a pass over splat tensors [N,...] and a background [3]."""
         splats = pass_.Splats._make(t if t is None else plain(t) for t in tensors)
         images = pass_.forward(splats)
         ctx.pass_, ctx.splats = pass_, splats
@@ -61,6 +62,7 @@ class Rasterize(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Any, ...]:
+        """Return the gradients of all tensors from those of the images [H,W] or [H,W,3]."""
         images = ctx.pass_.Images._make(ctx.saved_tensors)
         v_images = ctx.pass_.ImageGradients._make(v if v is None else plain(v) for v in v_outputs)
         *v_splats, _ = ctx.pass_.backward(ctx.splats, images, v_images)

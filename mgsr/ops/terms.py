@@ -80,6 +80,7 @@ def evaluate(terms: Sequence[Term]) -> Tensor:
 class _Evaluate(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, terms: tuple[Term, ...], keys: list[int], *images: Tensor) -> Tensor:
+        """Return the weighted values [T] of terms over their images [H,W] or [H,W,C]."""
         ctx.kernels, values, ctx.scales = _values(terms)
         slopes = [(number, slope) for number, term in enumerate(terms) for slope in term.slopes]
         ctx.shapes = [image.shape for image in images]
@@ -90,6 +91,7 @@ class _Evaluate(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_values: Tensor) -> tuple[Any, ...]:
+        """Return the images' gradients, in their shapes, from those of the values [T]."""
         images = [Image(shape) for shape in ctx.shapes]
         for (image, number, factor, region), values in zip(ctx.described, ctx.saved_tensors, strict=True):
             images[image].parts.append(Part(values, number, factor, region))
@@ -106,7 +108,7 @@ def _values(terms: Sequence[Term]) -> tuple[TermKernels | None, Tensor, Any]:
     """
     on_card = [(term.sums, term.weight) for term in terms if isinstance(term.sums, Sums)]
     if on_card:
-        assert len(on_card) == len(terms), "terms of one loss must be of one device"
+        assert len(on_card) == len(terms), "all terms of a loss must be on one device"
         launcher = launcher_for(on_card[0][0].partial)
         assert launcher is not None
         kernels = TermKernels(launcher)
@@ -121,7 +123,7 @@ def _added_up(image: Image, scales: list[float]) -> Tensor:
     """Return the gradient [...] of an image: the sum of its parts, each times the scale of its term."""
     gradient = None
     for part in image.parts:
-        assert part.region is None, "on the processor slopes are whole images"
+        assert part.region is None, "on the CPU, gradients are whole images"
         scale = part.factor * scales[part.term]
         slopes = part.slopes if part.slopes.shape == image.shape else part.slopes.unsqueeze(-1).expand(image.shape)
         if gradient is None:

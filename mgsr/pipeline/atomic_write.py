@@ -30,7 +30,7 @@ def atomic_write(target: Path) -> Iterator[Path]:
         if not partial.is_dir():
             require_file_place(target)
         elif place.is_file():
-            raise ConfigError(f"{target}: is a file, and a folder is to be written there; name a new folder")
+            raise ConfigError(f"{target}: expected a folder to write, found a file; choose a new folder")
         elif place.is_dir():
             shutil.rmtree(place)
         os.replace(partial, place)
@@ -44,7 +44,7 @@ def require_file_place(target: Path) -> None:
     Raises ConfigError where a folder is there.
     """
     if _place(target).is_dir():
-        raise ConfigError(f"{target}: is a folder, and a file is to be written; name a file in it")
+        raise ConfigError(f"{target}: expected a file to write, found a folder; choose a file in it")
 
 
 def _place(target: Path) -> Path:
@@ -54,9 +54,9 @@ def _place(target: Path) -> Path:
     """
     place = Path(os.path.realpath(target))
     if Path.cwd().is_relative_to(place):
-        raise ConfigError(f"{target}: is the folder that MGSR runs in, or holds it; name something new in it")
+        raise ConfigError(f"{target}: this folder is or contains the current folder; choose a new name in it")
     if place.exists() and not (place.is_file() or place.is_dir()):
-        raise ConfigError(f"{target}: is neither a file nor a folder; name a new file")
+        raise ConfigError(f"{target}: this is neither a file nor a folder; choose a new file")
     return place
 
 

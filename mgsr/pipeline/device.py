@@ -49,8 +49,10 @@ def pick_device(name: str) -> Device:
     if not torch.cuda.is_available():
         if name == Device.AUTO:
             return Device.CPU
-        built = "is built for the CPU alone" if torch.version.cuda is None else "sees no NVIDIA card or driver"
-        raise ConfigError(f"device cuda: this torch {built}; install torch for CUDA, or use the device cpu or auto")
+        built = "is built for the CPU only" if torch.version.cuda is None else "sees no NVIDIA card or driver"
+        raise ConfigError(
+            f"device cuda: the installed torch {built}; install torch for CUDA, or use the device cpu or auto"
+        )
     try:
         launcher = cuda_launcher(torch.cuda.current_device())
     except GpuError:

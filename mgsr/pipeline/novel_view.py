@@ -32,8 +32,8 @@ def render(result: Reconstruction, camera: Camera | View) -> Rendering:
     if isinstance(camera, View):
         if result.paths.object.is_file():
             raise ConfigError(
-                "camera: got a View, in the frame of the whole scene, but the object found has its own frame; "
-                "give scene.user_from_scene.camera_to_user(view.camera)"
+                "camera: the View is in the frame of the whole scene, but the found object has its own frame; use "
+                "scene.user_from_scene.camera_to_user(view.camera)"
             )
         seen_by = camera.camera
     elif isinstance(camera, Camera):
@@ -58,7 +58,7 @@ def _checked(camera: Camera) -> Camera:
         raise TensorError(f"camera.cam_from_world: expected a rotation and a translation, got {pose.tolist()}")
     if min(K[0, 0], K[1, 1]) <= 0 or min(camera.width, camera.height) < 1:
         raise TensorError(
-            f"camera: expected focal lengths above 0 and an image of 1 x 1 pixels or more, got {K[0, 0]:g} and "
+            f"camera: expected focal lengths above 0 and an image of at least 1 x 1 pixels, got {K[0, 0]:g} and "
             f"{K[1, 1]:g}, {camera.width} x {camera.height}"
         )
     return Camera(K, pose, int(camera.width), int(camera.height))

@@ -45,7 +45,10 @@ def ground_of(scene: Scene, found: FoundObject) -> np.ndarray | None:
 def require_place_for_masks(out: Path) -> None:
     """Raise ConfigError where `out` has a folder of masks that is no run's, before the work and not after it."""
     if (out / MASKS).exists() and not (out / OBJECT).is_file():
-        raise ConfigError(f"{out / MASKS}: is there already, and not of a run of MGSR; name another folder for results")
+        raise ConfigError(
+            f"{out / MASKS}: this folder exists and does not belong to a run of MGSR; choose another folder for the "
+            "results"
+        )
 
 
 def clear_object(out: Path) -> None:

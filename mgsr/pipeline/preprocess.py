@@ -117,8 +117,8 @@ def as_read(scene: Scene, config: Config) -> Config:
             chosen[item.name] = asked
         else:
             raise ConfigError(
-                f"data.{item.name}: expected {read}, with which {scene.name} was read, got {asked}; give the setting "
-                "to load_scene, or the scene's path in place of the scene"
+                f"data.{item.name}: {scene.name} is loaded with {read}, got {asked}; pass the setting to load_scene, "
+                "or pass the scene's path in place of the scene"
             )
     return replace(config, data=DataConfig(**chosen))
 
@@ -192,9 +192,12 @@ def _at_one_exposure(
             return scene, start
         scene = evened(scene, exposures)
         result_files.write_exposures(out, scene, exposures)
-        text = f"exposures differ, up to {exposures.largest_difference:.2f} times: all are brought to a common one"
+        text = (
+            f"exposures differ by a factor of up to {exposures.largest_difference:.2f}; all photographs are brought "
+            "to a common exposure"
+        )
         step.progress(Event("exposures", text))
-        return scene, start if points is None else points(scene, "exposures", "choosing starting points anew")
+        return scene, start if points is None else points(scene, "exposures", "choosing starting points again")
 
 
 def _object_alone(
@@ -218,9 +221,9 @@ def _object_alone(
     with step("object", text):
         found = find_object(scene, start, config.seed, box, step.should_stop, step.share("object", text))
         if isinstance(found, NoObject):
-            note = f"no object is reconstructed alone, but all that is seen: {found.reason}"
+            note = f"everything in view is reconstructed, because no single object was found: {found.reason}"
         else:
-            note = f"the object was found: its masks in the photographs agree to {found.agreement.mean():.0%}"
+            note = f"the object was found; the agreement of its masks is {found.agreement.mean():.0%}"
             write_object(out, scene, found)
         step.progress(Event("object", note))
     whole, scene = scene, replace(scene, notes=(*scene.notes, note))
@@ -243,7 +246,7 @@ def _as_lit(scene: Scene, lighting: Lighting | None, config: Config, out: Path, 
     """Add a flash's irradiance to the scene's views, where a flash was found and training shall know of it."""
     if lighting is None or not config.train.flash:
         return scene
-    with step("start", "computing what the flash makes of each view"):
+    with step("start", "computing the irradiance of the flash in each view"):
         result_files.write_lighting(out, lighting, scene)
         return lit_scene(scene, lighting)
 
@@ -252,10 +255,10 @@ def _learn_masks(scene: Scene, config: Config, step: Steps) -> list[np.ndarray] 
     """Learn masks [H,W] uint8 of the training views for the start, where a plain backdrop lets them be learned."""
     if not scene.backdrop(config.train.background).plain:
         return None
-    text = "learning where the object ends"
+    text = "learning the object's silhouettes"
     with step("outlines", text):
         progress = step.share("outlines", text)
         masks = learned_outlines(scene, config.seed, step.should_stop, progress, config.expert)
     if masks is None:
-        step.progress(Event("outlines", "what splats cover there is no object: the start goes without outlines"))
+        step.progress(Event("outlines", "the learned silhouettes show no object, so the start does without them"))
     return masks

@@ -160,7 +160,7 @@ def load_result(out: str | os.PathLike[str]) -> Reconstruction:
         shading = settings["expert"]["shading"]
         irradiance = IrradianceOptions(**shading["light"]["flash"]["irradiance"])
     except (LookupError, TypeError, ValueError) as error:
-        raise MgsrError(f"{folder}: its report is of another version ({in_short(error)}); run again") from error
+        raise MgsrError(f"{folder}: the report is of another version ({in_short(error)}); run again") from error
     origin = origin_of_frame(normalisation)
     return Reconstruction(
         mesh=read_mesh(folder).with_report(light, report.start_kept, steps),

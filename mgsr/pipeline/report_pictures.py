@@ -112,6 +112,7 @@ def _view_pictures(
         reflected = color_picture(images.reflected * images.weight[..., None])
 
     def light(color: np.ndarray) -> np.ndarray:
+        """Return a picture uint8 [H,W,3], or [H,W,4] with alpha, of a rendered colour [H,W,3]."""
         if view.alpha is None:
             return color_picture(on_background(color, images.alpha, background))
         return premultiplied_picture(color, images.alpha)

@@ -98,8 +98,8 @@ def at_known_exposures(out: Path, scene: Scene) -> Scene:
         )
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise MgsrError(
-            f"{out / EXPOSURES}: expected three factors for each photograph of {scene.name}: {in_short(error)}; "
-            f"run `mgsr train SCENE -o {out}` again"
+            f"{out / EXPOSURES}: expected three factors per photograph of {scene.name}: {in_short(error)}; run `mgsr "
+            f"train SCENE -o {out}` again"
         ) from error
     factors = np.concatenate([train, test])
     if not (np.isfinite(factors) & (factors > 0)).all():
@@ -171,7 +171,9 @@ def read_models(out: Path, user_from_scene: Similarity) -> TrainedModel:
     Raises MgsrError where there are no branches.
     """
     if not any((out / name).exists() for name in (SURFELS, GAUSSIANS)):
-        raise MgsrError(f"{out}: neither {SURFELS} nor {GAUSSIANS} is there; run `mgsr train SCENE -o {out}` first")
+        raise MgsrError(
+            f"{out}: the folder has neither {SURFELS} nor {GAUSSIANS}; run `mgsr train SCENE -o {out}` first"
+        )
     surfels = SurfelModel(**_read_tensors(out / SURFELS, user_from_scene)) if (out / SURFELS).exists() else None
     gaussians = None
     if (out / GAUSSIANS).exists():
@@ -251,7 +253,7 @@ def read_mesh(out: Path) -> ReconstructedMesh:
     import trimesh
 
     if not (out / MESH).is_file():
-        raise MgsrError(f"{out}: no {MESH} there; run `mgsr mesh SCENE -o {out}` first")
+        raise MgsrError(f"{out}: the folder has no {MESH}; run `mgsr mesh SCENE -o {out}` first")
     mesh: Any = trimesh.load(out / MESH, process=False, force="mesh")
     colors = np.asarray(mesh.visual.vertex_colors[:, :3], np.float32) / 255
     normals = np.asarray(mesh.vertex_normals, np.float32)
@@ -283,11 +285,11 @@ def read_report(out: Path) -> ReportData:
     """Read the report of the run in `out`. Raises MgsrError where there is none, or one that is damaged."""
     path = out / REPORT
     if not path.is_file():
-        raise MgsrError(f"{path}: expected the report of a finished run, found none; finish the run")
+        raise MgsrError(f"{path}: expected the report of a finished run, found none; resume the run first")
     try:
         return ReportData.from_json(json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise MgsrError(f"{path}: not the report of a run ({in_short(error)}); run again") from error
+        raise MgsrError(f"{path}: this file is not the report of a run ({in_short(error)}); run again") from error
 
 
 def _read_tensors(path: Path, user_from_scene: Similarity) -> dict[str, torch.Tensor]:

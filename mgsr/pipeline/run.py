@@ -97,10 +97,14 @@ def train_only(
     progress: EventCallback = ignore,
     should_stop: StopCheck = never,
 ) -> TrainResult:
-    """Train as `run_scene` does before it makes the surface, and leave the splats in `out`; the same arguments and
-    errors, but a time budget is refused: it is for whole runs."""
+    """Train as `run_scene` does before it extracts the surface, and leave the splats in `out`.
+
+    The arguments and errors are those of `run_scene`. Raises ConfigError for a time budget, which is for whole runs.
+    """
     if config.time_budget is not None:
-        raise ConfigError("time_budget: training alone keeps to none; use `mgsr run`, or a preset")
+        raise ConfigError(
+            "time_budget applies to whole runs, and `mgsr train` cannot honour it; use `mgsr run`, or choose a preset"
+        )
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
     scene = take_scene(scene_path, out, config, step, resume).scene
@@ -143,7 +147,7 @@ def _make_surface(run: _Run, trained: TrainResult) -> _Surface:
         go_on = always if run.budget is None else run.budget.go_on
         mesh = make_mesh(run.model(trained), run.scene, run.config, go_on, begun_on)
         result_files.write_mesh(run.out, mesh, run.config.output)
-    with run.step("evaluate", "measuring the surface"):
+    with run.step("evaluate", "scoring the surface"):
         truth = find_truth(run.scene)
         return _Surface(mesh, surface_scores(mesh, truth, run.scene), _draw(mesh, truth, run.scene))
 
@@ -164,7 +168,7 @@ def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
     with run.step("model", "texturing the model"):
         textured = make_textured(run.model(trained), scene, run.config, surface.mesh)
         result_files.write_textured(run.out, textured, scene, run.config.output)
-    with run.step("render", f"rendering and measuring {len(scene.test)} test views"):
+    with run.step("render", f"rendering and scoring {len(scene.test)} test views"):
         rendered = list(render_views(run.model(trained), scene.test, run.config))
         result_files.write_renders(run.out, rendered, scene, run.config.output)
         behind = scene.backdrop(run.config.train.background).color
@@ -234,7 +238,7 @@ class _TrainingStep:
         run = self._run
         with run.step("train", self._text):
             trained = self._training.run(finish=not before_surface)
-        self._text = "training goes on"
+        self._text = "training continues"
         with run.step("export", "writing the splats"):
             result_files.write_models(run.out, trained.model, run.scene, run.config.output)
         return trained

@@ -140,7 +140,7 @@ def scene_line(scene: Scene) -> str:
     masks = "with masks" if scene.masked else "without masks"
     points = "no points" if scene.points is None else f"{len(scene.points.positions)} points"
     shown = shown_share(scene)
-    size = f"{camera.width}x{camera.height}" + (f" of which photographs show {shown:.0%}" if shown < 1 else "")
+    size = f"{camera.width}x{camera.height}" + (f" ({shown:.0%} of the pixels valid)" if shown < 1 else "")
     return (
         f"{scene.name}: {scene.format}, {len(scene.train)} training and {len(scene.test)} test views, "
         f"{size}, {masks}, {points}"

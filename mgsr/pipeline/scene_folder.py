@@ -19,7 +19,7 @@ from mgsr.pipeline.run_metadata import scene_line
 def require_new_folder(target: Path) -> None:
     """Raise ConfigError where something is at `target` already, before the work and not after it."""
     if target.exists() and (target.is_file() or any(target.iterdir())):
-        raise ConfigError(f"{target}: is not empty; name a new folder for the scene")
+        raise ConfigError(f"{target}: the folder is not empty; choose a new folder for the scene")
 
 
 def write_scene_folder(target: Path, scene: Scene, scale: float) -> None:
@@ -36,9 +36,9 @@ def convert_scene(source: Path, target: Path, scale: float, up: UpAxis | None) -
     up: refused, as a scene keeps its frame. Raises ConfigError where the arguments do not fit, and SceneError.
     """
     if target.name.lower().endswith((*FILE_SUFFIXES, *ARCHIVE_SUFFIXES)):
-        raise ConfigError(f"{target}: {source} is a scene, which becomes a folder, not a file; name a new folder")
+        raise ConfigError(f"{target}: {source} is a scene, which is written as a folder; choose a new folder")
     if up is not None:
-        raise ConfigError(f"--up {up}: {source} is a scene, which keeps its frame; leave --up out")
+        raise ConfigError(f"--up {up}: {source} is a scene, which keeps its frame; remove --up")
     require_new_folder(target)
     if not (math.isfinite(scale) and scale > 0):
         raise ConfigError(f"--scale {scale:g}: expected a number above 0")

@@ -70,6 +70,7 @@ class Steps:
         told = time.monotonic()
 
         def tell(done: float) -> None:
+            """Send the share done. Raises Cancelled if a stop is requested."""
             nonlocal told
             if self.should_stop():
                 raise Cancelled(f"stopped on request in the step {step}")

@@ -36,6 +36,7 @@ def stop_on_signals() -> Iterator[StopWish]:
     wish = StopWish()
 
     def ask(number: int, frame: FrameType | None) -> None:
+        """Request a stop. Raises KeyboardInterrupt the second time."""
         if wish.asked:
             raise KeyboardInterrupt
         wish.asked = True
@@ -57,6 +58,7 @@ def cleaned_up_after_signals() -> Iterator[None]:
     """
 
     def end(number: int, frame: FrameType | None) -> None:
+        """Raise SystemExit with the code of the signal."""
         raise SystemExit(128 + number)
 
     main = threading.current_thread() is threading.main_thread()

@@ -108,10 +108,10 @@ def plan_line(budget: TimeBudget) -> str:
     assert budget.place is not None
     words = f"{budget.seconds:g} s: settings {place_words(budget.place)}"
     if budget.scale != 1:
-        words += f", photographs at {budget.scale:g} of their size"
+        words += f", photographs reduced to {budget.scale:g} of their size"
     words += f", {budget.planned['train']:.0f} s of training, {budget.planned['mesh']:.0f} s for the surface"
     if budget.too_small:
-        words += f"; that is too little: the least plan may end after {budget.least:.0f} s"
+        words += f"; that is too little, and the shortest plan may take {budget.least:.0f} s"
     return words
 
 

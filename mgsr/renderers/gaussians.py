@@ -109,6 +109,7 @@ class _RenderGaussians(torch.autograd.Function):
     def forward(
         ctx: Any, r: _GaussianInputs, environment: Tensor | None, *stored: Tensor | None
     ) -> tuple[Tensor | None, ...]:
+        """Return the images [H,W] and [H,W,3] of stored parameters [N,...] and a reflected environment [H,W,3]."""
         tensors: list[Any] = [None if tensor is None else plain(tensor) for tensor in stored]
         means, quats, log_scales, opacity_logits, sh, refl_opacity_logits, weight_logits, refl_sh = tensors
         logits = [each for each in (opacity_logits, refl_opacity_logits, weight_logits) if each is not None]
@@ -145,6 +146,7 @@ class _RenderGaussians(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Tensor | None, ...]:
+        """Return the gradients of the environment [H,W,3] and of the stored parameters [N,...]."""
         r, (sh, refl_sh, reflected, *saved) = ctx.rendering, ctx.saved_tensors
         count = len(GaussianSplats._fields)
         splats, images = GaussianSplats._make(saved[:count]), GaussianImages._make(saved[count:])

@@ -77,6 +77,7 @@ class _RenderSurfels(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, r: _SurfelInputs, *stored: Tensor) -> tuple[Tensor | None, ...]:
+        """Return the images [H,W] and [H,W,3] of stored parameters [N,...]."""
         means, quats, log_scales, opacity_logits, sh = (plain(tensor) for tensor in stored)
         scales, opacities = activated(r.launcher, KINDS, (log_scales, opacity_logits))
         rgb = harmonics(r.launcher, Harmonics(coeffs=sh, means=means, center=r.center, degree=r.degree))
@@ -97,6 +98,7 @@ class _RenderSurfels(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Tensor | None, ...]:
+        """Return the gradients of the stored parameters [N,...]."""
         r, (sh, *saved) = ctx.rendering, ctx.saved_tensors
         count = len(SurfelSplats._fields)
         splats, images = SurfelSplats._make(saved[:count]), SurfelImages._make(saved[count:])

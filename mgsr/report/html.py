@@ -156,15 +156,12 @@ def _light_split(views: Sequence[TestViewPictures]) -> str:
     pair = _image(f"{view.name}: transmitted light", view.transmitted, HERO_SIDE)  # type: ignore[arg-type]
     pair += _image("reflected light, added", _light_alone(view.reflected), HERO_SIDE, ' id="reflected"')  # type: ignore[arg-type]
     return (
-        '<section><h2>The light, taken apart</h2><div class="split">'
-        f'<div class="tile stack">{pair}</div>'
-        "<div><p>The render is a sum: light that shows the object’s own colour, the same from wherever it is seen "
-        "(transmitted), and light that its surface reflects (reflected), where the learnt weight lets it through. "
-        "The mesh takes its colours from the first alone, so no highlight is baked into it.</p>"
-        '<label for="fade">Reflected light</label>'
-        '<input id="fade" data-fade="reflected" type="range" min="0" max="100" value="100">'
-        '<p class="note">All the way left: only the object’s own colour. All the way right: the full render.</p>'
-        "</div></div></section>"
+        f'<section><h2>The light split</h2><div class="split"><div class="tile stack">{pair}</div><div><p>A render is '
+        "the sum of two lights. Transmitted light is the object’s own colour. Reflected light comes from gloss and "
+        "lamps, times a learned weight. The mesh takes its colours from transmitted light, so they contain no "
+        'highlights.</p><label for="fade">Reflected light</label><input id="fade" data-fade="reflected" type="range" '
+        'min="0" max="100" value="100"><p class="note">Left: the object’s own colour alone. Right: the full '
+        "render.</p></div></div></section>"
     )
 
 
@@ -186,10 +183,10 @@ def _environment_map(pictures: Sequence[Picture]) -> str:
         return ""
     tiles = (_tile(f"Environment map, {each.caption}", each.caption, each.pixels, HERO_SIDE) for each in pictures)
     return (
-        "<section><h2>What the surface reflects</h2><p>No photograph shows the lamps: this light was learnt from how "
-        "highlights wander over the surface. All splats share it, so that highlights are right also where no "
-        "photograph saw them. Brightened until the brightest is white.</p>"
-        f'<div class="row environment">{"".join(tiles)}</div></section>'
+        "<section><h2>The environment map</h2><p>This is the light that the surface reflects. MGSR learned it from "
+        "the highlights, which move over the surface between photographs. All splats share it, so highlights are "
+        "right from new viewpoints as well. The picture is brightened until its brightest pixel is white.</p><div "
+        f'class="row environment">{"".join(tiles)}</div></section>'
     )
 
 
@@ -209,8 +206,8 @@ def _more_views(views: Sequence[TestViewPictures]) -> str:
         return ""
     rows = "".join(f"<h3>{_view_title(view)}</h3>{_view_row(view, TILE_SIDE)}" for view in rest)
     left = len(views) - 1 - len(rest)
-    note = f'<p class="note">{left} more lie in renders/test.</p>' if left else ""
-    return f"<section><h2>More test views</h2><p>None of these photographs was trained on.</p>{rows}{note}</section>"
+    note = f'<p class="note">The folder renders/test has {left} more.</p>' if left else ""
+    return f"<section><h2>More test views</h2><p>Training saw none of these photographs.</p>{rows}{note}</section>"
 
 
 def _view_title(view: TestViewPictures) -> str:
@@ -222,7 +219,7 @@ def _surface(data: ReportData, surface: SurfacePictures) -> str:
         return ""
     parts = [f"<p>{_mesh_words(data)}</p>", _sides("shaded", surface.shaded)]
     if surface.colored:
-        parts += ["<h3>With its own colours</h3>", _sides("coloured", surface.colored)]
+        parts += ["<h3>With vertex colours</h3>", _sides("coloured", surface.colored)]
     if surface.distance:
         parts += ["<h3>Distance to the true surface</h3>", _sides("distance to the truth", surface.distance)]
         parts.append(_distance_legend(surface.limit))
@@ -231,10 +228,10 @@ def _surface(data: ReportData, surface: SurfacePictures) -> str:
 
 def _mesh_words(data: ReportData) -> str:
     if data.mesh is None:
-        return "Shaded from four sides."
+        return "The mesh is shaded from four sides."
     mesh = data.mesh
     pieces = "one piece" if mesh.components == 1 else _counted(mesh.components, "piece")
-    rim = _counted(mesh.boundary_edges, "boundary edge") if mesh.boundary_edges else "no boundary: it is closed"
+    rim = _counted(mesh.boundary_edges, "boundary edge") if mesh.boundary_edges else "closed"
     holes = f" around {_counted(mesh.holes, 'hole')}" if mesh.holes and mesh.boundary_edges else ""
     return f"{mesh.vertices:,} vertices and {mesh.faces:,} faces in {pieces}, {rim}{holes}."
 
@@ -254,9 +251,9 @@ def _distance_legend(limit: float) -> str:
         for index, (r, g, b) in enumerate(RAMP)
     )
     return (
-        '<div class="legend"><span>0</span><svg viewBox="0 0 100 5" preserveAspectRatio="none" aria-hidden="true">'
-        f'<defs><linearGradient id="ramp">{stops}</linearGradient></defs><rect width="100" height="5" '
-        f'fill="url(#ramp)"/></svg><span>{limit:.1%} of the object’s radius, or more</span></div>'
+        '<div class="legend"><span>0</span><svg viewBox="0 0 100 5" preserveAspectRatio="none" '
+        f'aria-hidden="true"><defs><linearGradient id="ramp">{stops}</linearGradient></defs><rect width="100" '
+        f'height="5" fill="url(#ramp)"/></svg><span>{limit:.1%} of the object’s radius or more</span></div>'
     )
 
 
@@ -278,12 +275,12 @@ def _curves(data: ReportData) -> str:
     number = line_chart(counts, Axes("Gaussians", "seconds of training", "count", True), boundaries)
     charts = "".join(
         f"<div><h3>{title}</h3>{chart}</div>"
-        for title, chart in (("Closeness to unseen photographs", error), ("Number of Gaussians", number))
+        for title, chart in (("PSNR on test views", error), ("Number of Gaussians", number))
         if chart
     )
     if not charts:
         return ""
-    return f'<section><h2>How it got there</h2><div class="charts">{charts}</div>{_curve_table(data)}</section>'
+    return f'<section><h2>Training</h2><div class="charts">{charts}</div>{_curve_table(data)}</section>'
 
 
 def _boundaries(data: ReportData) -> list[Boundary]:
@@ -309,7 +306,7 @@ def _curve_table(data: ReportData) -> str:
         )
         for row in data.curve
     ]
-    return f"<details><summary>The same as a table</summary>{_table(head, rows)}</details>"
+    return f"<details><summary>Show as a table</summary>{_table(head, rows)}</details>"
 
 
 def _decibels(value: float | None) -> str:
@@ -337,14 +334,14 @@ def _scores(data: ReportData) -> str:
     rows = [(score.label, value, score.meaning) for score, value in scores_told(data)]
     if not rows:
         return ""
-    note = "" if data.gt else '<p class="note">No true surface lies beside this scene, so its shape is not scored.</p>'
+    note = "" if data.gt else '<p class="note">The capture has no true surface, so the shape is not scored.</p>'
     return f"<section><h2>Scores</h2>{note}{_worded_table(('Score', 'Value', 'What it means'), rows)}</section>"
 
 
 def _decisions(data: ReportData) -> str:
     rows = [(each.what, each.choice, each.why) for each in with_decisions(data).decisions]
     table = _worded_table(("What", "Choice", "Why"), rows)
-    return f"<section><h2>What was decided, and why</h2>{table}</section>" if rows else ""
+    return f"<section><h2>Decisions</h2>{table}</section>" if rows else ""
 
 
 def _inspection(data: ReportData) -> str:
@@ -361,7 +358,7 @@ def _inspection(data: ReportData) -> str:
 def _settings(data: ReportData) -> str:
     facts = [("Preset", data.preset), ("Method", data.method), ("Device", data.device), ("Seed", str(data.seed))]
     facts += [(f"Gaussians, {name}", f"{count:,}") for name, count in data.gaussians.items()]
-    facts += [("Most memory held", f"{data.peak_memory_mib:,.0f} MiB")]
+    facts += [("Peak memory", f"{data.peak_memory_mib:,.0f} MiB")]
     facts += [(_seconds_name(name), f"{value:.1f}") for name, value in data.seconds.items()]
     facts += [(f"Version of {name}", str(value)) for name, value in data.versions.items()]
     machine = {} if data.machine is None else asdict(data.machine)
@@ -369,8 +366,8 @@ def _settings(data: ReportData) -> str:
     rows = "".join(f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>' for name, value in facts)
     command = f"<h3>Command</h3><pre>{escape(data.command)}</pre>" if data.command else ""
     return (
-        f'<section><h2>To run it again</h2>{command}<div class="wide"><table><tbody>{rows}</tbody></table></div>'
-        f"{_all_settings(data)}</section>"
+        f"<section><h2>How to repeat this run</h2>{command}<div "
+        f'class="wide"><table><tbody>{rows}</tbody></table></div>{_all_settings(data)}</section>'
     )
 
 

@@ -28,7 +28,7 @@ IMAGE = (
         1,
         2,
         "dB",
-        "How close the renders come to photographs that training never saw; 3 dB more is half the squared error.",
+        "How close renders come to photographs that training never saw. 3 dB more means half the squared error.",
     ),
     Score(
         "psnr_fg_test",
@@ -36,7 +36,15 @@ IMAGE = (
         1,
         2,
         "dB",
-        "The same, counting only pixels of the object: an empty background can't flatter it.",
+        "The PSNR of the object's pixels alone, which an empty background cannot improve.",
+    ),
+    Score(
+        "ssim_test",
+        "SSIM",
+        1,
+        4,
+        "",
+        "How similar the local structure of renders and photographs is. 1 means identical.",
     ),
     Score(
         "psnr_whole_test",
@@ -44,9 +52,8 @@ IMAGE = (
         1,
         2,
         "dB",
-        "The same for the whole photographs: the object before the background, which has splats of its own.",
+        "The same score for the whole photographs: the object before the background, which has splats of its own.",
     ),
-    Score("ssim_test", "SSIM", 1, 4, "", "How alike the local structure of renders and photographs is; 1 is the same."),
 )
 SURFACE = (
     Score(
@@ -55,7 +62,8 @@ SURFACE = (
         1000,
         2,
         "‰",
-        "The mean distance between this surface and the true one, both ways, per thousand of the object's radius.",
+        "The mean distance between this surface and the true one, in both directions, in thousandths of the "
+        "object's radius.",
     ),
     Score("accuracy", "Accuracy", 1000, 2, "‰", "The mean distance from this surface to the true one."),
     Score(
@@ -64,7 +72,7 @@ SURFACE = (
         1000,
         2,
         "‰",
-        "The mean distance from the true surface, where views saw it, to this one.",
+        "The mean distance from the visible true surface to this one.",
     ),
     Score(
         "f_005",
@@ -72,17 +80,17 @@ SURFACE = (
         1,
         3,
         "",
-        "The share of both surfaces that lies within 0.5% of the object's radius of the other; 1 is all.",
+        "The share of both surfaces that lies within 0.5% of the object's radius of the other. 1 means all.",
     ),
-    Score("f_010", "F-score at 1%", 1, 3, "", "The same within 1%."),
-    Score("f_020", "F-score at 2%", 1, 3, "", "The same within 2%."),
+    Score("f_010", "F-score at 1%", 1, 3, "", "The same share within 1%."),
+    Score("f_020", "F-score at 2%", 1, 3, "", "The same share within 2%."),
     Score(
         "normal_consistency",
         "Normal consistency",
         100,
         1,
         "%",
-        "How well the directions of nearest places agree; 100 is everywhere the same.",
+        "How well the normals of nearest points agree. 100 means that all are equal.",
     ),
     Score(
         "normal_error",
@@ -90,9 +98,16 @@ SURFACE = (
         1,
         1,
         "°",
-        "The mean angle between this surface and the true one, pixel by pixel in the test views.",
+        "The mean angle between the normals of this surface and the true one, over the pixels of the test views.",
     ),
-    Score("mask_iou", "Outline", 100, 1, "%", "How much of both outlines overlaps in the test views."),
+    Score(
+        "mask_iou",
+        "Silhouette overlap",
+        100,
+        1,
+        "%",
+        "The overlap of both silhouettes in the test views. 100 means identical.",
+    ),
 )
 SPLIT = (
     Score(
@@ -101,7 +116,7 @@ SPLIT = (
         1,
         2,
         "dB",
-        "How much closer the transmitted light comes to the object without gloss than the photograph does.",
+        "How much closer transmitted light is to the object without gloss than the photograph is.",
     ),
 )
 

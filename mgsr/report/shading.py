@@ -265,6 +265,7 @@ def _evened(values: np.ndarray, hits: _Hits, step: float) -> np.ndarray:
     """
 
     def image(of_hits: np.ndarray) -> np.ndarray:
+        """Return values [P,...] of the hits as an image float32 [H,W,...], zero elsewhere."""
         whole = np.zeros((*hits.hit.shape, *of_hits.shape[1:]), np.float32)
         whole[hits.hit] = of_hits
         return whole

@@ -111,6 +111,7 @@ class _EnvironmentEquations:
         turned = self.rows.T.tocsr()
 
         def apply(light: np.ndarray) -> np.ndarray:
+            """Return the normal equations' left side [HEIGHT*WIDTH] of a map [HEIGHT*WIDTH]."""
             data = turned @ (weights * self._without_own(self.rows @ light, weights))
             applied: np.ndarray = data + smooth @ light + 1e-6 * light
             return applied

@@ -80,6 +80,7 @@ def normals_from_flash(
     sky_visibility, interreflection = occlusion.at(points, observations.photographs)
 
     def explain(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the normals [R,3] of the points `part` [R], and their standard deviations [R] in radians."""
         some = observations.at(part)
         to_lamps = (lamps[some.photographs] - points[part, None]).astype(np.float32)
         distances = np.linalg.norm(to_lamps, axis=-1)

@@ -97,6 +97,7 @@ class FlashLight:
         gap = self._observer.pixel
 
         def shown(number: int, some: np.ndarray) -> np.ndarray:
+            """Return the brightness [R] that the light model gives the vertices `some` [R] in a photograph."""
             places, facing, visible = vertices[some], normals[some], sky_visibility[some]
             lamp = lamp_light(lamps[number] - places, facing)
             shaded = np.flatnonzero(visible < 1)

@@ -63,6 +63,7 @@ def observe_photographs(
     count = len(mesh.vertices)
 
     def read(index: int) -> tuple[np.ndarray, ...]:
+        """Return the arrays of one photograph's observations, each [V] or [V,3]."""
         lamp = None if lamps is None else lamps[index]
         return *_read(mesh, photographs[index], lamp, gap, options.min_cosine), np.full(count, index)
 

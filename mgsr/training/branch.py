@@ -51,7 +51,7 @@ class Branch(Trainable[Splats]):
         return rates_at(progress, self.settings, self.extent)
 
     def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
-        """Return a new optimiser for parameters of the branch's kind (see `Trainable`)."""
+        """Return a new optimiser for the branch's parameters [N,...] (see `Trainable`)."""
         return FusedAdam(
             parameters,
             {name: rate for name, rate in self.rates(0.0).items() if name in parameters},
@@ -61,7 +61,7 @@ class Branch(Trainable[Splats]):
         )
 
     def gather(self, stats: Any, width: int, height: int, weight: float, bad: Tensor | None = None) -> None:
-        """Gather one image's screen-space gradients for densification (see `DensifyState.gather`)."""
+        """Gather one image's screen-space gradients [N,2] for densification (see `DensifyState.gather`)."""
         if stats.v_means2d is not None:
             self.densify_state.gather(stats.v_means2d, stats.radii, width, height, weight, bad)
 
@@ -73,8 +73,8 @@ class Branch(Trainable[Splats]):
         change = adapt(self.model.parameters(), self.densify_state, self.densify, self.extent, self.generator, grow)
         if len(change.kept) + change.cloned + 2 * change.split == 0:
             raise TrainingError(
-                f"{self.name}: every splat was pruned, so nothing of the images was explained; check the poses and "
-                "masks, or lower prune_opacity"
+                f"{self.name}: every splat was pruned, so no splat explains the images; check the poses and masks, or "
+                "lower prune_opacity"
             )
         self.exchange(change.kept, change.added)
         if self.device.type != "cpu" and self.steps % ORDER_EVERY < self.densify.every:

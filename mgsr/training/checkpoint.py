@@ -55,16 +55,19 @@ def load_checkpoint(path: Path, expected: dict[str, str]) -> dict[str, Any]:
         content = torch.load(path, weights_only=True, map_location="cpu")
     except (OSError, EOFError, RuntimeError, ValueError, KeyError, pickle.UnpicklingError) as error:
         raise CheckpointError(
-            f"{path}: not a readable checkpoint ({in_short(error)}); start without resuming"
+            f"{path}: this file is not a readable checkpoint ({in_short(error)}); start without resuming"
         ) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise CheckpointError(f"{path}: not a checkpoint of this version; start without resuming")
+        raise CheckpointError(f"{path}: this file is not a checkpoint of this version; start without resuming")
     for part, cure in (
-        ("scene", "resume with the images it was made from"),
+        ("scene", "resume with the same images"),
         ("settings", "resume with the same method, seed and settings"),
     ):
         if content["fingerprint"][part] != expected[part]:
-            raise CheckpointError(f"{path}: belongs to another run (its {part} differ): {cure}, or start anew")
+            raise CheckpointError(
+                f"{path}: the checkpoint belongs to another run, because its {part} differ; {cure}, or start without "
+                "resuming"
+            )
     return content
 
 

@@ -17,7 +17,7 @@ class Convergence(Protocol):
     """A test that sees every iteration's loss and says when it is enough."""
 
     def converged(self, loss: Tensor, iteration: int, at_epoch_end: bool) -> bool:
-        """Take the loss (a scalar without gradient) of one iteration, counted from 1, and return whether to stop."""
+        """Take the loss [] of one iteration, counted from 1 and without gradient, and return whether to stop."""
 
     def state(self) -> dict[str, Any]:
         """Return everything that the test remembers, for a checkpoint."""

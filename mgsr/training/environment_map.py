@@ -29,7 +29,7 @@ class EnvironmentMapTrainer(Trainable[EnvironmentMap]):
         return {"logits": self.settings.rate * decay(progress, self.settings.decay_from, self.settings.final_factor)}
 
     def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
-        """Return a new optimiser for the maps (see `Trainable`)."""
+        """Return a new optimiser for the maps [2,S,S,3] (see `Trainable`)."""
         return FusedAdam(parameters, self.rates(0.0))
 
     def state(self) -> dict[str, Any]:

@@ -25,6 +25,7 @@ def surfel_picture(model: SurfelModel) -> RenderFunction:
     """Return a function that renders the 2D branch."""
 
     def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:
+        """Return the surfels' image [H,W,3] on a background colour, shaded by `light` [H,W] or None."""
         return render_surfels(model, camera, color_tensor(background, model.means.device), shading=light).color
 
     return picture
@@ -38,6 +39,7 @@ def gaussian_picture(model: TrainedModel) -> RenderFunction:
     drawn = model.for_gaussians()
 
     def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:
+        """Return the Gaussians' image [H,W,3] on a background colour, shaded by `light` [H,W] or None."""
         _, full = render_both(drawn, camera, color_tensor(background, model.device), depth=False, shading=light)
         assert full is not None
         return full.color

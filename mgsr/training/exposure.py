@@ -119,6 +119,7 @@ def _trained(
 
     @torch.no_grad()
     def light(view: View) -> np.ndarray:
+        """Return the linear light [H,W,3] of a view's render."""
         return srgb_to_linear(picture(view.camera, behind.color, None).clamp(0, 1).numpy().astype(np.float64))
 
     return light

@@ -63,7 +63,7 @@ class Guard:
         if not bool(bad):
             self._bad_steps = 0
             return True
-        self._note(f"the step on view {view} was not taken: {', '.join(self._bad_names(step))} not finite")
+        self._note(f"the step on view {view} was skipped: {', '.join(self._bad_names(step))} not finite")
         self._bad_steps += 1
         if self._bad_steps == MOST_BAD_STEPS:
             self._go_back(", ".join(self._bad_names(step)) + " not finite")
@@ -121,8 +121,8 @@ class Guard:
         where = f"{self.stage.name}, iteration {self.stage.iteration}"
         if self._returns == MOST_RETURNS:
             raise TrainingError(
-                f"{where}: {trouble}, also after going back; lower the learning rates or that term's weight, and look "
-                "for broken images or poses"
+                f"{where}: {trouble} again after undoing steps; lower the learning rates or that term's weight, and "
+                "check images and poses"
             )
         self._note(f"the last {len(self._losses)} steps were undone: {trouble}")
         for part in self.stage.trainables:
@@ -135,7 +135,7 @@ class Guard:
         count = int(torch.stack(self._dropped).sum()) if self._dropped else 0
         self._dropped = []
         if count:
-            self._note(f"{count} of the last {self.every} steps were not taken: numbers were not finite")
+            self._note(f"{count} of the last {self.every} steps were skipped, because numbers were not finite")
 
     def _bad_names(self, step: Step | None) -> list[str]:
         terms = {} if step is None else step.loss.terms

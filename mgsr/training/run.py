@@ -33,27 +33,28 @@ def card_explained() -> Iterator[None]:
         yield
     except torch.OutOfMemoryError as error:
         raise GpuError(
-            f"the card's memory does not hold this training ({error}): use smaller images (max_side=...) or fewer "
-            "splats (max_count=...), or --device cpu"
+            f"the card's memory cannot hold this training ({error}); use smaller images (max_side=...), fewer splats "
+            "(max_count=...) or --device cpu"
         ) from error
     except CARD_FAILED as error:
         reason = str(error).strip().splitlines()[0]
         raise LostCardError(
-            f"the card failed ({reason}), and nothing can be read from it any more: go on from the last checkpoint "
-            "with --resume, or use --device cpu; if it fails again, CUDA_LAUNCH_BLOCKING=1 names the place for a report"
+            f"the card failed ({reason}), and its memory is lost; resume from the last checkpoint with --resume, or "
+            "use --device cpu; if it fails again, report the output with CUDA_LAUNCH_BLOCKING=1"
         ) from error
 
 
 class Training:
     """A scene's training, from starting points in the scene's frame.
 
-    progress is called now and then (config.train.watch); should_stop before every iteration: once it returns True,
-    a checkpoint is written and Cancelled raised. checkpoint_path: one file, written now and then and at the end.
-    resume: go on from it where it exists; on the CPU the result equals that of an uninterrupted run bit for bit.
-    deadline: seconds after which training ends where it is (the reports say so). device: a GPU is much faster; images,
-    masks and splats are kept there. The result is on the CPU, and a checkpoint serves any device.
-    scheduler: sets the lengths of all stages. With a scheduler, or with an environment map that the finished mesh may
-    reflect (`set_reflector`), the run has one more stage, FINISH.
+    progress is called at intervals (config.train.watch), should_stop before every iteration. Once should_stop returns
+    True, a checkpoint is written and Cancelled raised. checkpoint_path: one file, written at intervals and at the end.
+    resume: continue from it if it exists; on the CPU the result equals that of an uninterrupted run bit for bit.
+
+    deadline: seconds after which training ends where it is (the reports say so). device: images, masks and splats are
+    kept there, and a GPU is much faster. The result is on the CPU, and a checkpoint serves any device. scheduler: sets
+    the lengths of all stages. With a scheduler, or with an environment map that the finished mesh may reflect
+    (`set_reflector`), the run has one more stage, FINISH.
 
     Raises, here or in `run`, TrainingError (too few views or points, numbers that are not finite, nothing left of a
     branch), Cancelled, CheckpointError (damaged, or of another scene or other settings), GpuError (a card that can't be

@@ -34,7 +34,7 @@ class Trainable(ABC, Generic[Model]):
 
     @abstractmethod
     def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
-        """Return a new optimiser for parameters of the model's kind."""
+        """Return a new optimiser for the model's parameters [N,...]."""
 
     @property
     def device(self) -> torch.device:

@@ -165,10 +165,11 @@ class Trainer:
         done_before = self._done(stage)
 
         def train(candidate: str, iterations: int) -> None:
+            """Train a candidate. Raises Cancelled if a stop is requested."""
             guard = Guard(stage, self.config.watch.check_every, self.incidents)
             for done in range(iterations):
                 if self.should_stop is not None and self.should_stop():
-                    raise self._cancelled(f"stopped on request while {candidate} was tried")
+                    raise self._cancelled(f"stopped on request during the trial of {candidate}")
                 loss, _ = self._iterate(stage, guard)
                 if self.progress is not None and (done + 1) % self.config.watch.report_every == 0:
                     report = self._report(stage, loss, last=False)
@@ -183,7 +184,7 @@ class Trainer:
             raise self._cancelled(f"stopped on request in {stage.name} after {stage.iteration} iterations")
 
     def _cancelled(self, what: str) -> Cancelled:
-        kept = "" if self.checkpoint_path is None else f"; {self.checkpoint_path.name} holds what was done"
+        kept = "" if self.checkpoint_path is None else f"; {self.checkpoint_path.name} holds the state"
         return Cancelled(what + kept)
 
     def _iterate(self, stage: Stage, guard: Guard) -> tuple[Loss, bool]:

@@ -130,6 +130,7 @@ def _reduced(view: View, by: int) -> View:
     camera = view.camera.resized(-(-view.camera.width // by), -(-view.camera.height // by))
 
     def mean(pixels: np.ndarray) -> np.ndarray:
+        """Return the means [h,w,C] of pixels [H,W,C]."""
         planes = torch.from_numpy(pixels).to(torch.float32).permute(2, 0, 1)
         small = torch.nn.functional.adaptive_avg_pool2d(planes[None], (camera.height, camera.width))[0]
         return small.permute(1, 2, 0).numpy()

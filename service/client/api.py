@@ -117,7 +117,7 @@ class Client:
                     time.sleep(_pause(failures))
             file.seek(0)
             if hashlib.file_digest(file, "sha256").hexdigest() != artifact["sha256"]:
-                raise DamagedDownload(f"{path}: came damaged; fetch it again")
+                raise DamagedDownload(f"{path}: the download is damaged; fetch it again")
         os.replace(partial, path)
 
     def _receive(self, address: str, file: BinaryIO, got: Callable[[int], None]) -> None:

@@ -64,12 +64,12 @@ def _talk(server: str, key: str | None, talk: Callable[[Client, Console], int]) 
     except ServiceRefusal as refusal:
         raise SetupError(f"{server} refuses: {refusal} ({refusal.code})") from refusal
     except httpx.HTTPError as error:
-        raise SetupError(f"{server} doesn't answer: {error}; is `mgsr serve` running there?") from error
+        raise SetupError(f"{server} does not answer: {error}; check that `mgsr serve` runs there") from error
     except DamagedDownload as error:
         raise SetupError(str(error)) from error
     except KeyboardInterrupt:
         console.print(
-            "a job that was sent goes on without this program; `mgsr fetch ID` follows it and fetches what came of it"
+            "a submitted job continues without this program; `mgsr fetch ID` follows it and fetches its results"
         )
         return INTERRUPTED
 
@@ -81,7 +81,7 @@ def _archive(scene: Path) -> Iterator[Path]:
         yield scene
         return
     if not scene.is_dir():
-        raise SetupError(f"{scene}: expected a folder or an archive of photographs, or a video; there is nothing")
+        raise SetupError(f"{scene}: expected a folder or an archive of photographs, or a video, found nothing")
     with tempfile.NamedTemporaryFile(suffix=".zip") as made:
         with zipfile.ZipFile(made, "w", zipfile.ZIP_STORED) as target:  # photographs are compressed already
             for path in sorted(scene.rglob("*")):
@@ -137,7 +137,7 @@ def _detail(job: Job) -> str:
     left, step_left, psnr = (job.get(name) for name in ("eta_seconds", "step_eta_seconds", "psnr"))
     parts = [] if left is None else [f"about {left:.0f} s left"]
     if left is None and step_left is not None:
-        parts = [f"this step about {step_left:.0f} s"]
+        parts = [f"about {step_left:.0f} s for this step"]
     return ", ".join(parts if psnr is None else [*parts, f"{psnr:.1f} dB"])
 
 

@@ -46,8 +46,10 @@ class Child:
         now = time.monotonic()
         self.deaths = [death for death in self.deaths if now - death < 60] + [now]
         if len(self.deaths) >= MOST_DEATHS:
-            raise SetupError(f"the {self.name} ends again and again, with {self.process.returncode}; see above for why")
-        print(f"the {self.name} ended with {self.process.returncode}; starting it again", file=sys.stderr)
+            raise SetupError(
+                f"the {self.name} keeps ending with exit code {self.process.returncode}; its output above says why"
+            )
+        print(f"the {self.name} ended with exit code {self.process.returncode}; starting it again", file=sys.stderr)
         time.sleep(RESTART_PAUSE)
         self.start()
 

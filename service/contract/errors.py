@@ -32,7 +32,7 @@ def refusals() -> Iterator[None]:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] not in _EXTRAS.split():
             raise
-        _refuse(f"the package {error.name} is missing: pip install 'mgsr[service]'")
+        _refuse(f"the package {error.name} is missing; run pip install 'mgsr[service]'")
 
 
 def _refuse(text: str) -> None:

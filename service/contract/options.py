@@ -60,14 +60,15 @@ class JobOptions(BaseModel):
     seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = 0
     device: Device = Device.AUTO
     deadline_seconds: Annotated[
-        float | None, Field(gt=0, le=1e7, description="After so long in one attempt the job fails.")
+        float | None, Field(gt=0, le=1e7, description="The seconds after which an attempt fails.")
     ] = None
     webhook: Annotated[
         str | None,
         Field(
             max_length=2000,
             pattern=r"^https?://[A-Za-z0-9.\-\[\]:]+([/?][!-~]*)?$",
-            description="Told of the job's end by a POST, signed as Standard Webhooks with `GET /webhook-secret`.",
+            description="The address that receives a POST when the job ends. `GET /webhook-secret` has the secret of "
+            "its Standard Webhooks signature.",
         ),
     ] = None
     dry_run: Annotated[
@@ -76,7 +77,7 @@ class JobOptions(BaseModel):
     ] = False
     settings: Annotated[
         dict[str, SettingValue],
-        Field(max_length=200, description="Single settings by their name in `GET /options`; null is none."),
+        Field(max_length=200, description="Single settings, by their names in `GET /options`. null means none."),
     ] = {}
 
     @field_validator("settings")
@@ -108,12 +109,12 @@ def find_setting(key: str) -> str:
     if len(hits) == 1:
         return hits[0]
     if hits:
-        raise ValueError(f"setting {key!r} is ambiguous: say one of {', '.join(hits)}")
+        raise ValueError(f"setting {key!r} is ambiguous: use one of {', '.join(hits)}")
     if (name := _renamed(key[:100])) != key[:100]:
-        raise ValueError(f"setting {key[:100]!r} does not exist; write {name!r}")
+        raise ValueError(f"setting {key[:100]!r} does not exist; use {name!r}")
     last = {path.rpartition(".")[2]: path for path in reversed(SETTINGS)}  # the first ones are those that users set
     near = [last[name] for name in difflib.get_close_matches(key.rpartition(".")[2], last, n=3, cutoff=0.5)]
-    hint = f"did you mean {', '.join(near)}?" if near else "GET /options lists them"
+    hint = f"did you mean {', '.join(near)}?" if near else "GET /options lists all settings"
     raise ValueError(f"setting {key[:100]!r} does not exist; {hint}")
 
 

@@ -50,7 +50,7 @@ class Failure(Document):
 
     code: str = Field(examples=["bad_scene"])
     message: str
-    retryable: bool = Field(description="Whether the same job may go better another time.")
+    retryable: bool = Field(description="Whether a retry of the same job may succeed.")
     peak_memory_bytes: int | None = None
 
 

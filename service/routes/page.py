@@ -102,7 +102,7 @@ def get_page_file(
 def _send(name: str, accept_encoding: str, if_none_match: str | None) -> Response:
     file = _FILES.get(name)
     if file is None:
-        raise Problem(404, "not_found", f"the page has no file {name!r}")
+        raise Problem(404, "not_found", f"the web page has no file {name!r}")
     headers = file.headers()
     if if_none_match is not None and file.etag in if_none_match:
         return Response(status_code=304, headers=headers)

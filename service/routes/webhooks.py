@@ -16,7 +16,7 @@ router = APIRouter(tags=["webhooks"])
 class WebhookSecret(BaseModel):
     """The secret of one key, always the same."""
 
-    secret: str = Field(description="`whsec_` and base64, as libraries of Standard Webhooks take it.")
+    secret: str = Field(description="`whsec_` and base64, as libraries of Standard Webhooks expect it.")
 
 
 @router.get("/webhook-secret", responses=answers())

@@ -62,14 +62,17 @@ def test_a_changed_result_changes_the_page(tmp_path: Path) -> None:
 def test_a_finding_holds_where_every_scene_says_so() -> None:
     rows = sample_rows()  # K has half a dB less PSNR on both scenes
     line = next(line for line in page_of(rows).splitlines() if "(row K)" in line)
-    assert "**holds**: PSNR better on 2, worse on 0 of 2 scenes (gain +0.50 dB in the mean" in line
+    assert "**holds**: PSNR better on 2, worse on 0 of 2 scenes (mean gain +0.50 dB" in line
     assert "**no difference**: Chamfer better on 0, worse on 0 of 2 scenes" in line
 
 
 def test_what_was_not_run_is_said_to_be_so() -> None:
     page = page_of(sample_rows())
-    assert "| N | no TV losses | not run |" in page and "TV losses help (row N). Not run yet." in page
-    assert "Presets without any run here: high." in page and "paper-photo" in page
+    assert (
+        "| N | no TV losses | not run |" in page
+        and "Losses of total variation help (row N). These rows were not run." in page
+    )
+    assert "These presets have no run here: high." in page and "paper-photo" in page
 
 
 def test_row_b_is_the_method_2dgs() -> None:
@@ -79,10 +82,10 @@ def test_row_b_is_the_method_2dgs() -> None:
 
 def test_what_is_bad_comes_first_and_only_where_it_is_so() -> None:
     page = page_of(sample_rows())
-    assert page.index("## What is weak") < page.index("## The surface")
-    assert "no better than that of the 2D branch alone: Chamfer better on 0, worse on 2" in page
+    assert page.index("## Weaknesses") < page.index("## The surface")
+    assert "no better than with the 2D branch alone: Chamfer better on 0, worse on 2" in page
     better = [replace(row, chamfer=3.0) if row.method == "2dgs" else row for row in sample_rows()]
-    assert "no better than that of the 2D branch alone: Chamfer" not in page_of(better)
+    assert "no better than with the 2D branch alone: Chamfer" not in page_of(better)
     harmed = [*sample_rows(), sample_row("plum", split_psnr=28.0, split_gain=-1.25)]
     assert "The light split does harm" not in page and "plum -1.25 dB" in page_of(harmed)
 
@@ -90,7 +93,7 @@ def test_what_is_bad_comes_first_and_only_where_it_is_so() -> None:
 def test_seconds_of_a_busy_machine_are_not_compared() -> None:
     rows = [*sample_rows(), sample_row("apple", "L", seconds=350.0), sample_row("pear", "L", seconds=380.0)]
     line = next(line for line in page_of(rows).splitlines() if "(row L)" in line)
-    assert "**holds**: time better on 2, worse on 0 of 2 scenes (gain +65 s in the mean" in line
+    assert "**holds**: time better on 2, worse on 0 of 2 scenes (mean gain +65 s" in line
     busy = [replace(row, others=1.4) if row.variant == "L" else row for row in rows]
     line = next(line for line in page_of(busy).splitlines() if "(row L)" in line)
     assert "the machine was busy" in line and "+65" not in line
@@ -101,14 +104,14 @@ def test_a_difference_smaller_than_that_of_seeds_does_not_count() -> None:
     spread = seed_spread(rows, "psnr")
     assert spread == pytest.approx(2**0.5)  # of 34 and 36
     found = compare(plain_runs(rows), plain_runs(rows, variant="K"), "psnr")
-    assert verdict(found, spread) == "no difference beyond that of seeds" and verdict(found, 0.1) == "holds"
+    assert verdict(found, spread) == "no difference beyond the spread between seeds" and verdict(found, 0.1) == "holds"
 
 
 def test_runs_of_different_commits_are_not_compared() -> None:
     rows = [replace(row, commit="def") if row.variant == "K" else row for row in sample_rows()]
     lines = page_of(rows).splitlines()
     finding, row = (next(line for line in lines if part in line) for part in ("(row K)", "| K |"))
-    assert "Not run yet" in finding and "not run" in row
+    assert "These rows were not run" in finding and "not run" in row
 
 
 def test_an_older_row_is_held_against_a_run_of_its_commit() -> None:
@@ -134,16 +137,16 @@ def test_what_a_run_left_out_is_held_against_it_scene_by_scene() -> None:
     more = [sample_row("pear", "need-light", seconds=450.0, psnr=34.02, chamfer=2.6), sample_row("pear", "L")]
     more[0] = replace(more[0], gaussians=30000)
     page = page_of([*sample_rows(), *more])
-    line = next(line for line in page.splitlines() if "a reflection of each splat's own, everywhere" in line)
+    line = next(line for line in page.splitlines() if "each splat's own reflection in every scene" in line)
     assert "| pear | 34.02 (+0.02) | 2.60 (+0.10) | 98.00 (+0.00) | 50000 (+25%) | 450 (+50%) |" in line
-    assert "| warm-ups end with their iterations alone | pear | 34.00 (+0.00) |" in page
-    assert "a reflection of each splat's own" not in page_of(sample_rows())
+    assert "| warm-ups never stop early | pear | 34.00 (+0.00) |" in page
+    assert "each splat's own reflection in every scene" not in page_of(sample_rows())
 
 
 def test_runs_with_a_time_budget_say_whether_they_kept_it() -> None:
     runs = [sample_row("apple", f"time_budget={given}", seconds=taken) for given, taken in ((60, 57.0), (120, 130.0))]
     page = page_of([*sample_rows(), *runs])
-    assert "to 105% of it: 1 of 2 did." in page
+    assert "to 105% of the budget. 1 of 2 did." in page
     assert "| apple | 60 | 57 | 95% |" in page and "| apple | 120 | 130 | 108% |" in page
     assert "--time-budget" not in page_of(sample_rows())
 
@@ -173,9 +176,10 @@ def test_the_two_sets_and_the_gap_between_them(tmp_path: Path) -> None:
     write_csv(tmp_path / "sets.csv", SetRow, [apple, pear, fig], digits=5)
     assert read_csv(tmp_path / "sets.csv", SetRow) == [apple, pear, fig]
     text = sets_section([apple, pear, fig])
-    assert text.index("pear") < text.index("apple") < text.index("fig") and "| 2.50 (10.00) | 25% |" in text
-    assert "tuning set's 2 scenes: Chamfer 2.00, normal error 4.0 degrees. No scene is worse than its hull." in text
-    assert "Worse than the hull: fig." in text
+    assert text.index("| pear") < text.index("| apple") < text.index("| fig") and "| 2.50 (10.00) | 25% |" in text
+    assert "tuning set's 2 scenes have a mean Chamfer of 2.00 and a mean normal error of 4.0 degrees." in text
+    assert "No scene is worse than its hull." in text
+    assert "These scenes are worse than their hull: fig." in text
     assert "Chamfer is 38% of the hull's on the tuning set and 110% on the judging set." in text
     assert "gap" not in sets_section([apple]) and sets_section([]) == ""
 
@@ -202,5 +206,5 @@ def test_what_differing_exposures_cost(tmp_path: Path) -> None:
         read_csv(tmp_path / "exposures.csv", ExposureRow) == rows and read_csv(tmp_path / "none.csv", ExposureRow) == []
     )
     text = exposure_section(rows)
-    assert "cost 2.50 dB if nothing is done, and 0.10 dB as it is" in text and "deviates by 0.3." in text
+    assert "cost 2.50 dB without correction, and 0.10 dB with it" in text and "standard deviation 0.3." in text
     assert exposure_section([]) == ""

@@ -65,7 +65,7 @@ def test_a_broken_cell_is_reported_and_the_rest_goes_on(done: Matrix) -> None:
     assert rows["truth"]["state"] == rows["bare"]["state"] == "done"
     assert rows["empty"]["state"].startswith("broken: exit code 2: error: ")
     assert "the folder is empty" in rows["empty"]["state"] and "the folder is empty" in done.first.stdout
-    assert "2 of 3 cells have results" in done.first.stdout
+    assert "2 of 3 runs have results" in done.first.stdout
 
 
 def test_a_row_says_what_the_report_says(done: Matrix) -> None:
@@ -176,7 +176,7 @@ def test_ctrl_c_says_how_to_go_on(done: Matrix, monkeypatch: pytest.MonkeyPatch,
 
     monkeypatch.setattr("mgsr.bench.matrix.run_cell", stopped)
     result = done.run(done.bare, out=tmp_path)
-    assert result.exit_code == INTERRUPTED and "the same command goes on" in result.stderr
+    assert result.exit_code == INTERRUPTED and "The same command continues" in result.stderr
 
 
 @pytest.mark.parametrize(

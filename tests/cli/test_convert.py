@@ -77,7 +77,7 @@ def test_refusals_leave_nothing_behind(tmp_path: Path) -> None:
     result = RUN.invoke(app, ["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.spz")])
     assert (
         result.exit_code == 2
-        and f"error: {tmp_path / 'b.spz'}: {tmp_path / 'a.ply'} is taken as a mesh" in result.output
+        and f"error: {tmp_path / 'b.spz'}: {tmp_path / 'a.ply'} is read as a mesh" in result.output
     )
     assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
 
@@ -85,8 +85,8 @@ def test_refusals_leave_nothing_behind(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("target", "message"),
     [
-        ("photos.ply", "photos.ply: is a folder, and a file is to be written"),
-        ("here.ply", "here.ply: is the folder that MGSR runs in"),
+        ("photos.ply", "photos.ply: expected a file to write, found a folder"),
+        ("here.ply", "here.ply: this folder is or contains the current folder"),
         (".", ".: "),
         ("..", "..: "),
         ("/", "/: "),
@@ -130,4 +130,4 @@ def test_up_is_only_for_glb(tmp_path: Path) -> None:
 
 def test_poses_without_photographs(tmp_path: Path) -> None:
     result = RUN.invoke(app, ["poses", str(tmp_path), "-o", str(tmp_path / "scene")])
-    assert result.exit_code == 2 and "0 images; at least 3 are needed" in result.output
+    assert result.exit_code == 2 and "0 images, but at least 3 are needed" in result.output

@@ -55,7 +55,7 @@ def test_they_are_brought_to_one_and_the_report_says_so(scene: Path, done: Path,
     for split in ("train", "test"):
         assert list(factors[split]) == report["input"][f"{split}_views"]
     told = next(each for each in report["decisions"] if each["what"] == "Exposures")
-    assert "times the light" in told["choice"] and "exposures differ" in (done / "log.txt").read_text()
+    assert "by a factor of up to" in told["choice"] and "exposures differ" in (done / "log.txt").read_text()
     kept = run(scene, tmp_path / "kept", "--set", "exposure=keep")
     assert not (tmp_path / "kept" / "exposures.json").exists() and "exposures" not in kept["input"]
     assert report["psnr_fg_test"] > kept["psnr_fg_test"] + 1
@@ -70,7 +70,7 @@ def test_single_steps_see_what_the_run_saw(scene: Path, done: Path, tmp_path: Pa
     assert json.loads(scored.output)["psnr_test"] == pytest.approx(report["psnr_test"], abs=0.02)
     (out / "exposures.json").write_text('{"train": {"r_0": [1, 2]}}')
     refused = CliRunner().invoke(app, ["mesh", str(scene), "-o", str(out), "--preset", "draft"])
-    assert refused.exit_code != 0 and "exposures.json: expected three factors for each photograph" in refused.output
+    assert refused.exit_code != 0 and "exposures.json: expected three factors per photograph" in refused.output
 
 
 @pytest.mark.slow

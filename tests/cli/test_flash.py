@@ -78,7 +78,7 @@ def test_later_commands_light_as_the_run_did(capture: Path, done: Path, tmp_path
     assert json.loads(scores.stdout)["psnr_test"] == pytest.approx(report["psnr_test"], abs=0.05)
     (out / "flash.npz").write_bytes(b"no archive")
     refused = CliRunner().invoke(app, ["render", str(capture), "-o", str(out)])
-    assert refused.exit_code != 0 and "flash.npz: not a flash" in refused.output
+    assert refused.exit_code != 0 and "flash.npz: the file holds no flash" in refused.output
 
 
 def test_python_lights_as_the_run_did(capture: Path, done: Path) -> None:

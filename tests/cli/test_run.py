@@ -241,10 +241,10 @@ def test_resume_takes_up_a_finished_training(scene: Path, done: Path, tmp_path: 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nowhere"], "nowhere: no such folder"),
+        (["nowhere"], "nowhere: this folder or file does not exist"),
         pytest.param(
             ["SCENE", "--device", "cuda"],
-            "device cuda: this torch",
+            "device cuda: the installed torch",
             marks=pytest.mark.skipif(torch.cuda.is_available(), reason="there is a card here"),
         ),
         (["SCENE", "--device", "tpu"], "auto, cpu, cuda"),

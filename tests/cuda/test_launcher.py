@@ -68,7 +68,7 @@ def test_what_the_driver_is_asked_for(tmp_path: Path) -> None:
     done = subprocess.run(program, env=environment, capture_output=True, text=True, check=True)
     *printed, huge, maps = sorted(done.stdout.splitlines(), key=lambda line: ("maps" in line, "huge" in line, line))
     assert maps == "maps memory True"
-    assert huge.startswith("OutOfMemoryError: huge can't be loaded on card 0: CUDA_ERROR_OUT_OF_MEMORY")
+    assert huge.startswith("OutOfMemoryError: huge cannot be loaded on card 0: CUDA_ERROR_OUT_OF_MEMORY")
     assert printed == [
         "GpuError: refused failed on card 0: CUDA_ERROR_INVALID_VALUE, invalid argument",
         "LostCardError: lost failed on card 0: CUDA_ERROR_ILLEGAL_ADDRESS, unknown error",

@@ -110,18 +110,20 @@ def test_metashape_cameras_that_are_not_aligned_or_not_enabled(tmp_path: Path) -
     photos, notes = usable(aligned=(0, 1, 2))
     assert len(photos) == 3
     assert notes == (
-        "1 of 4 photographs left out: cameras.xml, camera 'IMG_3': it is not aligned; align the cameras in Metashape "
-        "and export them again",
+        "1 of 4 photographs skipped: cameras.xml, camera 'IMG_3': the photograph is not aligned; align the cameras in "
+        "Metashape and export them again",
     )
     photos, notes = usable(camera=lambda i: 'enabled="false"' if i == 3 else "")
     assert len(photos) == 3 and notes == ()
-    with pytest.raises(SceneError, match=r"3 of 4 photographs can't be used; the first: .*'IMG_1': it is not aligned"):
+    with pytest.raises(
+        SceneError, match=r"3 of 4 photographs cannot be used; the first: .*'IMG_1': the photograph is not aligned"
+    ):
         usable(aligned=(0,))
     metashape(tmp_path)
     for i in (0, 2, 3):
         (tmp_path / f"photos/IMG_{i}.JPG").unlink()
     folder = SceneFolder.at(tmp_path)
-    with pytest.raises(SceneError, match=r"only 1 of 4 .* \(IMG_0 is missing\); put them into"):
+    with pytest.raises(SceneError, match=r"only 1 of the 4 .* \(IMG_0 is missing\); copy them anywhere into"):
         usable_photos(read_capture(tmp_path, "metashape"), folder)
 
 
@@ -132,8 +134,8 @@ def test_metashape_slaves_of_multi_camera_systems(tmp_path: Path) -> None:
     capture = read_capture(metashape(tmp_path, camera=pairs), "metashape")
     assert [photo.image.name for photo in capture.photos] == ["IMG_0.JPG", "IMG_2.JPG"]
     assert [str(error) for error in capture.lost] == [
-        f"cameras.xml, camera 'IMG_{i}': it is a slave of a multi-camera system, which is not supported: add the "
-        "photographs to Metashape as single cameras, align and export them again"
+        f"cameras.xml, camera 'IMG_{i}': it is part of a multi-camera system, which is not supported; add the "
+        "photographs to Metashape as single cameras, align them and export them again"
         for i in (1, 3)
     ]
 
@@ -153,7 +155,7 @@ def test_metashape_groups_tell_photographs_of_one_name_apart(tmp_path: Path, lab
     if label == "left":
         assert names == [] and len(capture.lost) == 4
         with pytest.raises(
-            SceneError, match=r"cameras\.xml: the photograph '.*' may be cam0/.*; name it with its folder"
+            SceneError, match=r"cameras\.xml: the photograph '.*' may be cam0/.*; write its folder as well"
         ):
             usable_photos(capture, SceneFolder.at(tmp_path))
     else:
@@ -187,9 +189,9 @@ def test_metashape_in_utf_16_beside_other_documents(tmp_path: Path) -> None:
         ),
         ({"terms": {"cx": 1}}, "camera 'IMG_0': f: expected 1 numbers, got ''"),
         ({"terms": {"f": "nan"}}, "camera 'IMG_0': f: expected 1 numbers, got 'nan'"),
-        ({"terms": TERMS | {"p3": 0, "p4": 0.5}}, "camera 'IMG_0': distortion p4 is 0.5, which is not"),
+        ({"terms": TERMS | {"p3": 0, "p4": 0.5}}, "camera 'IMG_0': distortion p4 is 0.5, but MGSR supports only 0"),
         ({"camera": lambda i: 'sensor_id="7"'}, "not valid XML: duplicate attribute"),
-        ({"chunk": "<transform><scale>0</scale></transform>"}, "the chunk's scale is 0"),
+        ({"chunk": "<transform><scale>0</scale></transform>"}, "expected a scale of the chunk above 0, got 0"),
         ({"chunk": "<transform><rotation>1 2</rotation></transform>"}, "rotation: expected 9 numbers, got '1 2'"),
     ],
 )
@@ -203,7 +205,7 @@ def test_metashape_entities_are_refused(tmp_path: Path, encoding: str) -> None:
     path = metashape(tmp_path) / "cameras.xml"
     text = path.read_text().replace("<document", '<!DOCTYPE d [<!ENTITY a "aaaa">]><document', 1)
     path.write_text(text, encoding=encoding)
-    with pytest.raises(SceneError, match="has a DOCTYPE, which Metashape doesn't write; refused"):
+    with pytest.raises(SceneError, match="has a DOCTYPE, which Metashape never writes; MGSR refuses it"):
         read_capture(tmp_path, "metashape")
 
 
@@ -273,9 +275,9 @@ def test_realitycapture_left_out_columns_and_photographs(tmp_path: Path) -> None
     (tmp_path / "images/b.jpg").unlink()
     folder = SceneFolder.at(tmp_path)
     _, notes = usable_photos(read_capture(tmp_path, "realitycapture"), folder)
-    assert notes == ("1 of 3 photographs of export.csv left out: b.jpg is missing",)
+    assert notes == ("1 of 3 photographs of export.csv skipped: b.jpg is missing",)
     (tmp_path / "images/c.jpg").unlink()
-    with pytest.raises(SceneError, match=r"only 1 of 3 .* that export\.csv names are there \(b\.jpg is missing\); put"):
+    with pytest.raises(SceneError, match=r"only 1 of the 3 .* by export\.csv exist \(b\.jpg is missing\); copy"):
         usable_photos(read_capture(tmp_path, "realitycapture"), SceneFolder.at(tmp_path))
 
 
@@ -296,9 +298,9 @@ def test_realitycapture_paths_of_another_machine_and_other_tables(tmp_path: Path
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (HEADER + "\n", "export.csv: no rows after the columns' names; align the photographs"),
-        (HEADER.replace(",", ";"), r"export\.csv: its columns are #name;x;y;alt.*with commas between them"),
-        ("#cameras 1\n#name,x,y,alt\na,0,0,1\n", r"its columns are #name,x,y,alt; expected #name,x,.*External"),
+        (HEADER + "\n", "export.csv: the table has no rows; align the photographs"),
+        (HEADER.replace(",", ";"), r"export\.csv: separated by commas, got #name;x;y;alt"),
+        ("#cameras 1\n#name,x,y,alt\na,0,0,1\n", r"expected the columns #name,x,.* got #name,x,y,alt; .*External"),
     ],
 )
 def test_realitycapture_tables_of_other_kinds_name_the_right_export(tmp_path: Path, text: str, message: str) -> None:
@@ -414,7 +416,7 @@ def test_opensfm_fisheye(tmp_path: Path) -> None:
     ("change", "message"),
     [
         (lambda parts: parts.clear(), "expected a list of reconstructions with 'cameras' and 'shots'"),
-        (lambda parts: parts[1]["cameras"].clear(), r"shot 0\.jpg: camera 'c' is not in the file"),
+        (lambda parts: parts[1]["cameras"].clear(), r"shot 0\.jpg: the file lacks camera 'c'; export it again"),
         (
             lambda parts: parts[1]["cameras"]["c"].update(projection_type="spherical"),
             "'spherical' is not supported: a pano",

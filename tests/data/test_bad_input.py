@@ -30,7 +30,7 @@ def leaves_out(root: Path, match: str, count: int = 1) -> None:
     """Check that the scene loads without its bad photographs, and that a note says why."""
     scene = load_scene(root, DataConfig())
     assert len(scene.train) + len(scene.test) == 12 - count
-    assert any(re.search(f"^{count} of 12 photographs .*left out: .*({match})", note) for note in scene.notes)
+    assert any(re.search(f"^{count} of 12 photographs .*skipped: .*({match})", note) for note in scene.notes)
 
 
 def edit_view(root: Path, index: int = 3, **values: Any) -> None:
@@ -45,16 +45,16 @@ def pose_with(change: Callable[[np.ndarray], object]) -> list[list[float]]:
 
 
 def test_no_such_path(tmp_path: Path) -> None:
-    refuses(tmp_path / "nowhere", "nowhere: no such folder or file")
+    refuses(tmp_path / "nowhere", "nowhere: this folder or file does not exist")
 
 
 def test_a_file_that_is_no_archive(tmp_path: Path) -> None:
     (tmp_path / "scene.rar").write_text("x")
-    refuses(tmp_path / "scene.rar", r"scene\.rar: expected a folder, or an archive: \.zip")
+    refuses(tmp_path / "scene.rar", r"scene\.rar: expected a folder or an archive \(\.zip")
 
 
 def test_empty_folder(tmp_path: Path) -> None:
-    refuses(tmp_path, "the folder is empty. Looked for: cameras.json")
+    refuses(tmp_path, "the folder is empty. MGSR looked for: cameras.json")
 
 
 def test_unrecognised_folder_lists_what_was_looked_for(tmp_path: Path) -> None:
@@ -74,17 +74,17 @@ def test_empty_scene(root: Path) -> None:
 
 def test_single_view(root: Path) -> None:
     edit_json(root / "cameras.json", lambda content: content["views"].__delitem__(slice(1, None)))
-    refuses(root, "1 training views; at least 2")
+    refuses(root, "expected at least 2 training views, got 1")
 
 
 def test_missing_images_of_the_plain_form(root: Path) -> None:
     (root / "photos/003.png").unlink()
     scene = load_scene(root, DataConfig())
-    assert scene.notes == ("1 of 12 photographs of cameras.json left out: photos/003.png is missing",)
+    assert scene.notes == ("1 of 12 photographs of cameras.json skipped: photos/003.png is missing",)
     for path in sorted((root / "photos").iterdir())[:6]:
         path.unlink()
     refuses(
-        root, r"only 5 of 12 photographs that cameras\.json names are there \(photos/000\.png is missing\); put them"
+        root, r"only 5 of the 12 photographs named by cameras\.json exist \(photos/000\.png is missing\); copy them"
     )
 
 
@@ -93,11 +93,11 @@ def test_few_missing_images_are_left_out_and_many_are_an_error(tmp_path: Path) -
     for number in (2, 5):
         (root / f"train/r_{number}.png").unlink()
     scene = load_scene(root, DataConfig())
-    assert scene.notes == ("2 of 12 photographs of transforms_train.json left out: ./train/r_2 is missing",)
+    assert scene.notes == ("2 of 12 photographs of transforms_train.json skipped: ./train/r_2 is missing",)
     assert len(scene.train) + len(scene.test) == 10
     for path in sorted((root / "train").iterdir())[:5]:
         path.unlink()
-    refuses(root, r"only 5 of 12 photographs that transforms_train\.json names are there \(\./train/r_0 is missing")
+    refuses(root, r"only 5 of the 12 photographs named by transforms_train\.json exist \(\./train/r_0 is missing")
 
 
 def test_damaged_image(root: Path) -> None:
@@ -108,7 +108,7 @@ def test_damaged_image(root: Path) -> None:
 
 def test_not_an_image(root: Path) -> None:
     (root / "photos/003.png").write_text("hello")
-    leaves_out(root, r"003\.png: not an image that can be read")
+    leaves_out(root, r"003\.png: this file is not a readable image")
 
 
 def test_image_outside_the_folder(root: Path) -> None:
@@ -147,7 +147,8 @@ def test_a_uniform_scale_of_poses_is_divided_out(root: Path) -> None:
     for view, other in zip(scene.train, expected.train, strict=True):
         np.testing.assert_allclose(view.camera.cam_from_world, other.camera.cam_from_world, atol=1e-12)
     assert scene.notes == (
-        "12 of 12 photographs with a scale in the pose (100): it is divided out, which keeps places and directions",
+        "12 of 12 photographs with a scale in the pose (100); MGSR divides it out, which keeps positions and "
+        "directions",
     )
 
 
@@ -161,12 +162,12 @@ def test_stretched_poses(root: Path, count: int) -> None:
             view["cam_from_world"] = (stretch @ np.array(view["cam_from_world"])).tolist()
 
     edit_json(root / "cameras.json", edit)
-    message = "the pose is not rigid"
+    message = "expected a rotation and a translation, got a pose that is not rigid"
     if count == 1:
         leaves_out(root, message)
     else:
         cure = "Divide each axis of a look-at matrix by its length"
-        refuses(root, f"12 of 12 photographs can't be used; the first: .*view 0.*{message}.*{cure}")
+        refuses(root, f"12 of 12 photographs cannot be used; the first: .*view 0.*{message}.*{cure}")
 
 
 def test_poses_of_three_rows_or_in_one_list(root: Path) -> None:
@@ -186,7 +187,7 @@ def test_poses_of_three_rows_or_in_one_list(root: Path) -> None:
 
 def test_mirrored_pose(root: Path) -> None:
     edit_view(root, cam_from_world=pose_with(lambda pose: pose.__setitem__(0, -pose[0])))
-    leaves_out(root, "view 3.*mirrors space")
+    leaves_out(root, "view 3.*expected a rotation, got a reflection")
 
 
 def test_pose_of_wrong_shape(root: Path) -> None:
@@ -202,9 +203,9 @@ def test_missing_pose(root: Path) -> None:
 @pytest.mark.parametrize(
     ("K", "message"),
     [
-        ([[0, 0, 32], [0, 90, 32], [0, 0, 1]], "the focal length is zero"),
-        ([[-80, 0, 32], [0, 90, 32], [0, 0, 1]], "the focal length is negative"),
-        ([[80, 0, 32], [0, 90, 32], [0, 0, 0]], "the intrinsics are singular"),
+        ([[0, 0, 32], [0, 90, 32], [0, 0, 1]], "got a focal length of zero"),
+        ([[-80, 0, 32], [0, 90, 32], [0, 0, 1]], "got a negative focal length"),
+        ([[80, 0, 32], [0, 90, 32], [0, 0, 0]], "got the singular matrix"),
         ([[80, 2, 32], [0, 90, 32], [0, 0, 1]], "the intrinsics have skew"),
         ([[80, 0, None], [0, 90, 32], [0, 0, 1]], "NaN or infinite|matrix of numbers"),
         ([[80, 0, 32], [0, 90, 32]], "K: expected a 3x3 matrix, got shape"),
@@ -222,7 +223,7 @@ def test_mask_of_another_size(root: Path) -> None:
 
 def test_named_mask_that_is_missing(root: Path) -> None:
     edit_view(root, mask="masks/gone.png")
-    leaves_out(root, r"view 3.*its mask masks/gone\.png is missing; put it there")
+    leaves_out(root, r"view 3.*its mask masks/gone\.png is missing; add it")
 
 
 def test_masks_that_exclude_each_other(tmp_path: Path) -> None:
@@ -232,7 +233,7 @@ def test_masks_that_exclude_each_other(tmp_path: Path) -> None:
         block = np.zeros((SIDE, SIDE), np.uint8)
         block[:8, :8] = 255
         save(root / f"masks/{i:03d}.png", block, "L")
-    refuses(root, r"masks of the training views have no part of space in common.*masks=off")
+    refuses(root, r"masks of the training views have no common visual hull.*masks=off")
     assert not load_scene(root, DataConfig(masks=Masks.OFF)).masked
 
 
@@ -251,7 +252,7 @@ def test_a_few_black_masks_leave_their_views_out(tmp_path: Path) -> None:
     for name in ("000", "003"):  # of a test view and of a training view
         save(root / f"masks/{name}.png", np.zeros((SIDE, SIDE), np.uint8), "L")
     scene = load_scene(root, DataConfig())
-    assert scene.notes == ("the masks of 1 of 10 training views are empty ('003'): these views are left out",)
+    assert scene.notes == ("the masks of 1 of 10 training views are empty ('003'); these views are skipped",)
     assert [len(scene.train), len(scene.test)] == [9, 1]
     all_train = DataConfig(test_every=1000)
     frame = load_scene(root, all_train).user_from_scene
@@ -282,8 +283,8 @@ def test_a_mask_that_contradicts_the_others_leaves_its_view_out(
     scene = load_scene(root, DataConfig())
     assert "003" not in [view.name for view in scene.train] and len(scene.train) == 9
     assert scene.notes == (
-        "the masks of 1 of 10 training views leave out where the others have the object ('003'): these views are left "
-        "out",
+        "the masks of 1 of 10 training views exclude places that the others count as the object ('003'); these views "
+        "are skipped",
     )
 
 
@@ -294,7 +295,7 @@ def test_masks_that_some_views_have_are_told_of(tmp_path: Path) -> None:
     (root / "masks/003.png").unlink()
     scene = load_scene(root, DataConfig())
     assert not scene.masked
-    assert scene.notes[0] == "9 of 10 training views have a mask, but '003' has none: masks are not used"
+    assert scene.notes[0] == "9 of 10 training views have a mask, but '003' has none, so masks are not used"
 
 
 def test_masks_of_other_names_are_told_of(tmp_path: Path) -> None:
@@ -305,16 +306,18 @@ def test_masks_of_other_names_are_told_of(tmp_path: Path) -> None:
         path.rename(path.with_name(f"object-{path.name}"))
     note, _ = load_scene(root, DataConfig()).notes
     assert note == (
-        "masks/object-000.png is no photograph's mask, nor is any beside it: name it as 000.png to have it used"
+        "masks/object-000.png and the files beside it belong to no photograph; rename it to 000.png to use it as a mask"
     )
     (few,) = load_scene(root, DataConfig(masks=Masks.OFF)).notes
-    assert few.startswith("too few photographs: half or more of the 10 training photographs have no other within 35")
+    assert few.startswith(
+        "too few photographs: at least half of the 10 training photographs have no neighbour within 35"
+    )
 
 
 def test_all_cameras_at_one_place(root: Path) -> None:
     pose = BallCapture().poses()[0].tolist()
     edit_json(root / "cameras.json", lambda content: [view.update(cam_from_world=pose) for view in content["views"]])
-    refuses(root, "all cameras stand at the same place")
+    refuses(root, "all cameras have the same position")
 
 
 def test_bad_json_names_the_line(root: Path) -> None:
@@ -324,18 +327,18 @@ def test_bad_json_names_the_line(root: Path) -> None:
 
 def test_json_nested_too_deep(root: Path) -> None:
     (root / "cameras.json").write_text("[" * 10_000_000)
-    refuses(root, r"cameras\.json: JSON nested too deep")
+    refuses(root, r"cameras\.json: the JSON is nested too deep")
 
 
 def test_json_number_without_end(root: Path) -> None:
     (root / "cameras.json").write_text('{"views": ' + "1" * 10_000 + "}")
-    refuses(root, r"cameras\.json: can't be read as JSON text: .*digits")
+    refuses(root, r"cameras\.json: this file is not JSON text: .*digits")
 
 
 def test_json_with_half_a_character(root: Path) -> None:
     """Check that half a character is refused: Python's strings can hold it, but file names and terminals can't."""
     edit_view(root, image="\ud800.png")
-    refuses(root, r"cameras\.json: can't be read as JSON text: .*surrogates not allowed; export it again")
+    refuses(root, r"cameras\.json: this file is not JSON text: .*surrogates not allowed; export it again")
 
 
 def test_json_with_nan_in_the_intrinsics(root: Path) -> None:
@@ -352,21 +355,21 @@ def test_parts_that_were_cut_out_of_larger_photographs(root: Path, place: tuple[
     scene = load_scene(root, DataConfig(masks=Masks.OFF))
     np.testing.assert_array_equal(scene.train[0].camera.K[:2, 2], place)
     assert (
-        "12 of 12 photographs taken for parts cut out of larger ones: the principal point lies outside the image"
+        "12 of 12 photographs treated as crops of larger ones, because the principal point lies outside the image"
         in scene.notes
     )
 
 
 def test_a_principal_point_that_no_photograph_has(root: Path) -> None:
     edit_view(root, K=[[80, 0, 5000], [0, 90, 35], [0, 0, 1]])
-    leaves_out(root, r"view 3.*the principal point \(5000, 35\) lies 62\.1 focal lengths beside the middle")
+    leaves_out(root, r"view 3.*the principal point \(5000, 35\) lies 62\.1 focal lengths from the centre")
 
 
 def test_inverted_masks(root: Path) -> None:
     for i, pose in enumerate(BallCapture().poses()):
         save(root / f"photos/{i:03d}.png", BallCapture().rgba(pose), "RGB")
         save(root / f"masks/{i:03d}.png", 255 - BallCapture().rgba(pose)[..., 3], "L")
-    refuses(root, "the masks are inverted: white around the object and black on it; make them white on the object")
+    refuses(root, "the masks are inverted, white around the object and black on it; make them white on the object")
 
 
 def test_unknown_split(root: Path) -> None:
@@ -377,7 +380,7 @@ def test_unknown_split(root: Path) -> None:
 def test_blender_without_focal_length(tmp_path: Path) -> None:
     root = BallCapture().write_blender(tmp_path)
     edit_json(root / "transforms_train.json", lambda content: (content.pop("fl_x"), content.pop("fl_y")))
-    refuses(root, "frame 0.*no focal length; expected camera_angle_x")
+    refuses(root, "frame 0.*expected camera_angle_x .*, got no focal length")
 
 
 def test_blender_without_frames(tmp_path: Path) -> None:

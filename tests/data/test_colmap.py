@@ -185,7 +185,7 @@ def test_few_registered_photographs(tmp_path: Path) -> None:
     for i in range(20):
         Image.new("L", (8, 8)).save(tmp_path / f"images/more{i}.png")
     assert read_capture(tmp_path, "colmap").notes == (
-        "10 of 30 photographs are registered in sparse/0; the others are left out",
+        "10 of 30 photographs are registered in sparse/0; the others are skipped",
     )
     for i in range(20, 77):
         Image.new("L", (8, 8)).save(tmp_path / f"images/more{i}.png")
@@ -249,7 +249,7 @@ def test_the_model_with_most_photographs_is_used(tmp_path: Path, text: bool) -> 
         (part.write_text if text else part.write_binary)(str(folder))
     capture = read_capture(tmp_path, "colmap")
     assert len(capture.photos) == 10
-    assert capture.notes == ("sparse/10 is used, with 10 photographs; sparse/0 has 2, sparse/1 has 7",)
+    assert capture.notes == ("the model sparse/10 with 10 photographs is used; sparse/0 has 2, sparse/1 has 7",)
 
 
 @pytest.mark.parametrize("points", ["", "1 2 -1", "7 20 -1 9 10 -1 3 4 5 6 7 8", "1.5 2.5 -1 3e1 4 7"])
@@ -289,7 +289,7 @@ def test_a_model_alone_lacks_its_photographs(tmp_path: Path) -> None:
     for path in (tmp_path / "images").iterdir():
         path.unlink()
     with pytest.raises(
-        SceneError, match=r"only 0 of 10 photographs that 0/images\.bin names are there \(photo 01\.png is"
+        SceneError, match=r"only 0 of the 10 photographs named by 0/images\.bin exist \(photo 01\.png is"
     ):
         load_scene(tmp_path / "sparse/0", DataConfig())
 
@@ -319,7 +319,7 @@ def test_damaged_text_model(tmp_path: Path) -> None:
 def test_missing_cameras_file(tmp_path: Path) -> None:
     write(tmp_path, "PINHOLE")
     (tmp_path / "sparse/0/cameras.bin").unlink()
-    with pytest.raises(SceneError, match=r"cameras\.bin is missing"):
+    with pytest.raises(SceneError, match=r"lacks cameras\.bin"):
         load_scene(tmp_path, DataConfig())
 
 

@@ -167,7 +167,9 @@ def test_the_same_twelve_cameras(shared_data: Path, folder: str, name: str) -> N
 
 
 def test_gaussian_splatting_without_its_photographs(shared_data: Path) -> None:
-    with pytest.raises(SceneError, match=r"cameras\.json: has the cameras of 3D Gaussian Splatting, but its 12 photo"):
+    with pytest.raises(
+        SceneError, match=r"cameras\.json: this file has the cameras of 3D Gaussian Splatting, but its 12 photo"
+    ):
         read_capture(shared_data / "cases/04_unread_formats/3dgs_output", "gaussians")
 
 
@@ -207,10 +209,10 @@ def test_record3d_frames_that_can_not_be_used(tmp_path: Path) -> None:
     path.write_text(json.dumps(content))
     capture = read_capture(tmp_path, "record3d")
     assert len(capture.photos) == 2
-    assert "frame 1: the pose's quaternion is [0.0, 0.0, 0.0, 0.0]" in str(capture.lost[0])
+    assert "frame 1: the pose has the invalid quaternion [0.0, 0.0, 0.0, 0.0]" in str(capture.lost[0])
     assert "frame 2: pose: expected 7 numbers, got '[1, 2]'" in str(capture.lost[1])
     path.write_text(json.dumps(content | {"poses": []}))
-    with pytest.raises(SceneError, match=r"metadata\.json: no poses; record with the LiDAR camera"):
+    with pytest.raises(SceneError, match=r"metadata\.json: the file has no poses; record with the LiDAR camera"):
         read_capture(tmp_path, "record3d")
 
 
@@ -291,7 +293,7 @@ def test_llff_takes_the_folder_with_as_many_photographs_as_poses(tmp_path: Path)
 def test_llff_photographs_that_have_poses_are_listed(tmp_path: Path) -> None:
     llff(tmp_path)
     draw(tmp_path / "images/001a.png")
-    with pytest.raises(SceneError, match=r"cameras of 4 photographs, but 5 in images; .*view_imgs\.txt"):
+    with pytest.raises(SceneError, match=r"it has 4 cameras, but images has 5 photographs; .*view_imgs\.txt"):
         read_capture(tmp_path, "llff")
     write(tmp_path / "view_imgs.txt", "\n".join(f"{i:03d}.png" for i in range(4)))
     assert_sees(read_capture(tmp_path, "llff"), MIDDLE)
@@ -301,7 +303,7 @@ def test_llff_videos_in_place_of_photographs(tmp_path: Path) -> None:
     llff(tmp_path)
     for path in (tmp_path / "images").iterdir():
         path.rename(tmp_path / f"cam{path.stem}.mp4")
-    with pytest.raises(SceneError, match="but there are none; take one frame of each video"):
+    with pytest.raises(SceneError, match="but there are no photographs; extract one frame of each video"):
         read_capture(tmp_path, "llff")
 
 
@@ -317,10 +319,13 @@ def npy(header: str) -> bytes:
         (b"PK\3\4", "damaged"),
         (
             npy("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000, 17), }"),
-            "damaged: an array of float64",
+            "damaged: expected an array of numbers, got float64",
         ),
         (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (4, 17),"), "damaged: .*EOF in multi-line"),
-        (npy("{'descr': '|O', 'fortran_order': False, 'shape': (1,), }"), "damaged: an array of object"),
+        (
+            npy("{'descr': '|O', 'fortran_order': False, 'shape': (1,), }"),
+            "damaged: expected an array of numbers, got object",
+        ),
         (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (0, 17), }"), r"got shape \[0, 17\]"),
     ],
 )
@@ -361,7 +366,7 @@ def test_gaussian_splatting_renders_are_no_photographs(tmp_path: Path) -> None:
     Renders and their references are numbered, in another order than the cameras; the source is only named.
     """
     gaussians(tmp_path, "{:05d}", "train/ours_30000/gt/{:05d}.png")
-    with pytest.raises(SceneError, match=r"trained on /data/spot\); put them into images/ beside cameras\.json"):
+    with pytest.raises(SceneError, match=r"trained on /data/spot\); copy them to images/ beside cameras\.json"):
         read_capture(tmp_path, "gaussians")
 
 
@@ -371,7 +376,7 @@ def test_gaussian_splatting_points_of_the_start(tmp_path: Path) -> None:
     trimesh.PointCloud(np.eye(3)).export(tmp_path / "input.ply")
     np.testing.assert_allclose(present(read_capture(tmp_path, "gaussians").points).positions, np.eye(3))
     (tmp_path / "input.ply").write_bytes(b"ply\nnot really")
-    assert "the points are left out: input.ply" in read_capture(tmp_path, "gaussians").notes[0]
+    assert "the points are ignored: input.ply" in read_capture(tmp_path, "gaussians").notes[0]
 
 
 @pytest.mark.parametrize("content", ["[]", "[1]", '{"views": []}', "[{}]"])
@@ -477,7 +482,7 @@ def test_hostile_pickles_run_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyP
     capture = read_capture(tmp_path, "nero")
     assert len(capture.photos) == 3 and len(capture.lost) == 1
     message = str(capture.lost[0])
-    assert message.startswith("1-camera.pkl: not a pickled tuple of arrays of numbers: ") and len(message) < 400
+    assert message.startswith("1-camera.pkl: expected a pickled tuple of numeric arrays: ") and len(message) < 400
     assert message.endswith("copy it again")
     assert not (tmp_path / "ran").exists()
 
@@ -500,7 +505,7 @@ def test_a_pickle_that_would_run_a_program_runs_none(tmp_path: Path) -> None:
 def test_nsvf_cameras_and_split(tmp_path: Path) -> None:
     capture = read_capture(nsvf(tmp_path), "nsvf")
     assert [photo.split for photo in capture.photos] == [Split.TRAIN, Split.TEST, Split.TEST]
-    assert capture.notes == ("1 validation views are not used, as there are test views",)
+    assert capture.notes == ("1 validation views are ignored because there are test views",)
     for photo in capture.photos:
         pose = BALL.poses()[int(photo.image.stem.split("_")[1])]
         np.testing.assert_allclose(project(photo, POINTS), pixels(pose), atol=1e-6)
@@ -549,7 +554,7 @@ def test_nsvf_one_damaged_pose_costs_one_photograph(tmp_path: Path) -> None:
     write(tmp_path / "pose/0_0002.txt", "1 0 0 -nan(ind)\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
     capture = read_capture(tmp_path, "nsvf")
     assert len(capture.photos) == 2
-    assert "0_0001.txt: expected a pose of 3x4 or 4x4 numbers, got 3; mend the file" in str(capture.lost[0])
+    assert "0_0001.txt: expected a pose of 3x4 or 4x4 numbers, got 3; fix the file" in str(capture.lost[0])
     assert "NaN or infinite" in str(capture.lost[1])
 
 
@@ -597,7 +602,7 @@ def test_scannet_frames_without_tracking_are_left_out(tmp_path: Path) -> None:
     capture = read_capture(tmp_path, "scannet")
     photos, notes = usable_photos(capture, SceneFolder.at(tmp_path))
     assert [photo.image.name for photo in photos] == ["0.jpg"]
-    assert notes == ("3 of 4 photographs left out: pose/1.txt: tracking was lost in this frame",)
+    assert notes == ("3 of 4 photographs skipped: pose/1.txt: the frame has no pose, because tracking was lost",)
 
 
 # Tanks and Temples
@@ -627,7 +632,7 @@ def test_tanks_photographs_without_a_pose(tmp_path: Path) -> None:
     log.write_text("\n".join(lines))
     capture = read_capture(tmp_path, "tanks")
     assert [photo.image.name for photo in capture.photos] == ["000001.jpg", "000003.jpg", "000004.jpg"]
-    assert capture.notes == ("1 of 4 photographs have no pose in Ball_COLMAP_SfM.log",)
+    assert capture.notes == ("Ball_COLMAP_SfM.log has no pose of 1 of 4 photographs",)
 
 
 def test_tanks_photographs_that_were_taken_out(tmp_path: Path) -> None:
@@ -653,7 +658,8 @@ def test_tanks_log_and_photographs_cut_alike(tmp_path: Path) -> None:
 def test_tanks_count_of_photographs(tmp_path: Path) -> None:
     draw(tanks(tmp_path, "images/a{:03d}.jpg") / "images/b.jpg")
     with pytest.raises(
-        SceneError, match="poses of 4 photographs, but 5 in images; they go by the order of their names"
+        SceneError,
+        match="it has 4 poses, but images has 5 photographs; poses follow the order of the photo",
     ):
         read_capture(tmp_path, "tanks")
 
@@ -665,7 +671,7 @@ def test_tanks_without_intrinsics(tmp_path: Path) -> None:
     """
     (tanks(tmp_path) / "intrinsics.txt").unlink()
     with pytest.raises(
-        SceneError, match=r"Ball_COLMAP_SfM\.log: has poses, but the intrinsics .* into intrinsics\.txt"
+        SceneError, match=r"Ball_COLMAP_SfM\.log: it has poses but no intrinsics; write .* to intrinsics\.txt"
     ):
         read_capture(tmp_path, "tanks")
 
@@ -716,7 +722,7 @@ UNREAD = {
     "Meshroom": ["sfm.abc", "images/1.jpg"],
     "OpenMVS": ["scene.mvs"],
     "MVE": ["views/view_0000.mve/meta.ini", "synth_0.out"],
-    "COLMAP, still without poses": ["database.db", "images/1.jpg"],
+    "COLMAP, without poses": ["database.db", "images/1.jpg"],
     "ScanNet": ["scene0000_00.sens"],
     "SDFStudio": ["meta_data.json"],
     "Nerfies or HyperNeRF": ["camera/000001.json", "dataset.json"],
@@ -745,7 +751,7 @@ def test_cameras_that_are_not_read_are_named(tmp_path: Path, program: str) -> No
     for name in UNREAD[program]:
         write(tmp_path / name, CONTENTS.get(Path(name).name, "x"))
     said = unread_cameras(tmp_path)
-    assert said is not None and said.startswith(f"has cameras of {program} (")
+    assert said is not None and said.startswith(f"the cameras are of {program} (")
     assert "), which MGSR does not read; " in said and len(said) < 400
     named = said.split("(", 1)[1].split(")")[0]
     assert (tmp_path / named).exists()

@@ -35,7 +35,7 @@ def test_cameras_are_found_up_to_the_frame(tmp_path: Path) -> None:
     said: list[str] = []
     assert find_poses(tmp_path / "photos", tmp_path / "scene", 0, said.append) == ()
     assert said[:2] == ["one camera: 320x240", "finding features in 8 photographs"]
-    assert said[-1].startswith("8 photographs placed")
+    assert said[-1].startswith("found cameras of 8 photographs and")
     photos = sorted(read_capture(tmp_path / "scene", "colmap").photos, key=lambda photo: photo.image)
     place, turn = camera_errors(np.array([photo.cam_from_world for photo in photos]), np.array(poses()))
     assert place.max() < 0.05, "one per cent of the distance"
@@ -47,8 +47,12 @@ def test_cameras_are_found_up_to_the_frame(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("camera_per_image", "cameras", "cure"),
     [
-        (False, "one camera: ", r"with texture; if these were zoomed or cropped, try `--set camera_per_image=on`$"),
-        (True, "a camera for each photograph", "with texture$"),
+        (
+            False,
+            "one camera: ",
+            r"with more overlap; if these were zoomed or cropped, try `--set camera_per_image=on`$",
+        ),
+        (True, "a separate camera for each photograph", "with more overlap$"),
     ],
 )
 def test_pictures_without_texture_leave_nothing_behind(
@@ -57,7 +61,7 @@ def test_pictures_without_texture_leave_nothing_behind(
     for i in range(4):
         draw(tmp_path / f"photos/{i}.png")
     said: list[str] = []
-    with pytest.raises(SceneError, match=rf"only 0 of 4 photographs could be placed; take more photographs.*{cure}"):
+    with pytest.raises(SceneError, match=rf"only 0 of 4 photographs have a camera; take more photographs.*{cure}"):
         find_poses(tmp_path / "photos", tmp_path / "scene", 0, said.append, camera_per_image)
     assert said[0].startswith(cameras)
     assert not (tmp_path / "scene").exists()
@@ -100,7 +104,7 @@ def save_photo(path: Path, main: dict[int, Any], more: dict[int, Any]) -> None:
 
 def test_too_few_photographs(tmp_path: Path) -> None:
     draw(tmp_path / "a.png")
-    with pytest.raises(SceneError, match="1 images; at least 3 are needed"):
+    with pytest.raises(SceneError, match="1 images, but at least 3 are needed"):
         find_poses(tmp_path, tmp_path / "scene", 0)
 
 
@@ -109,21 +113,21 @@ def test_an_archive_of_too_few_photographs(tmp_path: Path) -> None:
         for i in range(2):
             draw(tmp_path / f"{i}.png")
             out.write(tmp_path / f"{i}.png", f"holiday/{i}.png")
-    with pytest.raises(SceneError, match=r"photos\.zip: 2 images; at least 3 are needed"):
+    with pytest.raises(SceneError, match=r"photos\.zip: it holds 2 images, but at least 3 are needed"):
         find_poses(tmp_path / "photos.zip", tmp_path / "scene", 0)
 
 
 def test_a_folder_that_holds_something_is_left_alone(tmp_path: Path) -> None:
     for i in range(4):
         draw(tmp_path / f"photos/{i}.png")
-    with pytest.raises(ConfigError, match="photos: is not empty; name a new folder"):
+    with pytest.raises(ConfigError, match="photos: the folder is not empty; choose a new folder"):
         find_poses(tmp_path / "photos", tmp_path / "photos", 0)
     assert len(list((tmp_path / "photos").iterdir())) == 4
 
 
 def test_without_pycolmap_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pycolmap", None)
-    with pytest.raises(ConfigError, match=r"needs pycolmap; install it with `pip install 'mgsr\[poses\]'`"):
+    with pytest.raises(ConfigError, match=r"requires pycolmap; install it with `pip install 'mgsr\[poses\]'`"):
         find_poses(tmp_path, tmp_path / "scene", 0)
 
 

@@ -60,9 +60,9 @@ def test_photographs_beside_the_folder_of_the_cameras(tmp_path: Path) -> None:
 
 def test_a_scene_given_by_its_photographs(root: Path) -> None:
     scene = load_scene(root / "photos", DataConfig())
-    assert scene.name == "vase" and scene.notes[0] == "photos is a part of the scene vase, which is read"
+    assert scene.name == "vase" and scene.notes[0] == "photos is a part of the scene vase, so vase is read"
     save(root / "others/a.png", GREY, "RGB")
-    refuses(root / "others", "1 images, but no cameras; at least 3 are needed to find cameras")
+    refuses(root / "others", "1 images but no cameras; at least 3 are needed to find cameras")
 
 
 @pytest.mark.parametrize("relative", [False, True])
@@ -79,8 +79,8 @@ def test_absolute_paths(root: Path, monkeypatch: pytest.MonkeyPatch, relative: b
     monkeypatch.chdir(folder.parent)
     scene = load_scene(Path(folder.name) if relative else folder, DataConfig())
     assert len(scene.train) + len(scene.test) == 12
-    assert [note for note in scene.notes if "lie elsewhere" in note] == (
-        [note for note in scene.notes if note.startswith("12 of 12 photographs lie elsewhere")] if moved else []
+    assert [note for note in scene.notes if "are in other folders" in note] == (
+        [note for note in scene.notes if note.startswith("12 of 12 photographs are in other folders")] if moved else []
     )
     assert bool(scene.notes) == moved
 
@@ -107,7 +107,7 @@ def test_reduced_copies(root: Path) -> None:
         shutil.copytree(root / "photos", root / f"photos_{factor}")
     shutil.rmtree(root / "photos")
     scene = load_scene(root, DataConfig())
-    assert "the photographs are read from photos_2; the cameras are scaled to their size" in scene.notes
+    assert "the photographs are read from photos_2; the cameras are scaled to the photographs' size" in scene.notes
 
 
 def test_photographs_that_may_be_several(tmp_path: Path) -> None:
@@ -119,7 +119,7 @@ def test_photographs_that_may_be_several(tmp_path: Path) -> None:
     assert found.paths[:2] == [tmp_path / "left/0.png", tmp_path / "right/1.png"]
     assert isinstance(found.paths[2], MissingPhotoError)
     both = folder.find_photos("poses.txt", ["0.png"]).paths[0]
-    assert re.match(r"poses\.txt: the photograph '0\.png' may be left/0\.png or right/0\.png; name it", str(both))
+    assert re.match(r"poses\.txt: the photograph '0\.png' may be left/0\.png or right/0\.png; write its", str(both))
 
 
 def test_depth_maps_of_the_same_names_are_no_photographs(tmp_path: Path) -> None:
@@ -133,11 +133,11 @@ def test_depth_maps_of_the_same_names_are_no_photographs(tmp_path: Path) -> None
     [
         ("walk.avi", "x", r"walk\.avi: a video of a kind that is not read; convert it with `ffmpeg"),
         ("walk.mp4", "x", r"walk\.mp4: expected an MP4, MOV, WebM or Matroska video"),
-        ("a.png", "x", r"a\.png: a single photograph; give the folder"),
-        ("scene.zip", LFS, r"scene\.zip is a pointer of Git LFS and not the file itself; .*`git lfs pull`"),
-        ("scene.zip", "<!DOCTYPE html><html>", r"scene\.zip is a web page and not the file itself; download it again"),
+        ("a.png", "x", r"a\.png: this is a single photograph; use the folder"),
+        ("scene.zip", LFS, r"scene\.zip is a pointer of Git LFS, not the file itself; .*`git lfs pull`"),
+        ("scene.zip", "<!DOCTYPE html><html>", r"scene\.zip is a web page, not the file itself; download the file"),
         ("scene.zip", "", r"scene\.zip is an empty file"),
-        ("transforms.json", "{}", r"transforms\.json: a file of a scene; give the folder that holds it"),
+        ("transforms.json", "{}", r"transforms\.json: this is one file of a scene; use the folder that holds it"),
     ],
 )
 def test_files_that_are_no_scene(tmp_path: Path, name: str, content: str, message: str) -> None:
@@ -150,8 +150,8 @@ def test_files_that_are_no_scene(tmp_path: Path, name: str, content: str, messag
     [
         ("walk.WMV", r"a video \(walk\.WMV\) of a kind that is not read; convert it"),
         ("walk.MOV", r"walk\.MOV: expected an MP4, MOV, WebM or Matroska video"),
-        ("IMG.dng", r"raw photographs \(IMG\.dng\), which are not read; develop them"),
-        ("scene.zip", r"no known scene in it, but another archive, scene\.zip"),
+        ("IMG.dng", r"raw photographs \(IMG\.dng\), which MGSR does not read; convert them"),
+        ("scene.zip", r"it holds no known scene but another archive, scene\.zip"),
     ],
 )
 def test_folders_of_other_things(tmp_path: Path, name: str, message: str) -> None:
@@ -164,10 +164,10 @@ def test_git_lfs_pointers_in_place_of_files(root: Path) -> None:
     (root / "photos/003.png").write_text(LFS)
     scene = load_scene(root, DataConfig())
     assert len(scene.train) + len(scene.test) == 11
-    assert any(re.search(r"003\.png is a pointer of Git LFS .*git lfs pull", note) for note in scene.notes)
+    assert any(re.search(r"003\.png is a pointer of Git LFS, .*git lfs pull", note) for note in scene.notes)
     for path in (root / "photos").iterdir():
         path.write_text(LFS)
-    refuses(root, r"12 of 12 photographs can't be used; the first: .*is a pointer of Git LFS")
+    refuses(root, r"12 of 12 photographs cannot be used; the first: .*is a pointer of Git LFS")
     (root / "cameras.json").write_text(LFS)
     refuses(root, r"cameras\.json is a pointer of Git LFS")
 
@@ -185,9 +185,7 @@ def test_nan_as_windows_writes_it(root: Path) -> None:
     text = re.sub(r'(?<="cam_from_world": \[\[)[-\d.e]+', "-nan(ind)", text, count=1)
     (root / "cameras.json").write_text(text)
     scene = load_scene(root, DataConfig())
-    assert scene.notes[0].startswith(
-        "1 of 12 photographs left out: cameras.json, view 0 (photos/000.png): the pose has"
-    )
+    assert scene.notes[0].startswith("1 of 12 photographs skipped: cameras.json, view 0 (photos/000.png): the pose has")
 
 
 @pytest.mark.parametrize("folder", ["depth", "masks_4", "mono_normal", "old", "photos_2"])
@@ -196,7 +194,7 @@ def test_a_missing_photograph_is_not_replaced_by_another_image_of_its_name(root:
         save(root / folder / path.name, GREY, "RGB")
     (root / "photos/003.png").unlink()
     scene = load_scene(root, DataConfig())
-    assert scene.notes[0] == "1 of 12 photographs of cameras.json left out: photos/003.png is missing"
+    assert scene.notes[0] == "1 of 12 photographs of cameras.json skipped: photos/003.png is missing"
     assert len(scene.train) + len(scene.test) == 11
 
 
@@ -228,7 +226,8 @@ def test_developed_photographs_beside_raw_ones(root: Path) -> None:
     assert views(root) == 12
     shutil.rmtree(root / "photos")
     refuses(
-        root, r"12 of 12 photographs can't be used; the first: photos/000\.CR2: raw photographs are not read; develop"
+        root,
+        r"12 of 12 photographs cannot be used; the first: photos/000\.CR2: MGSR does not read raw photographs; convert",
     )
 
 
@@ -259,7 +258,7 @@ def test_a_scene_given_by_a_part_of_it(tmp_path: Path, part: str) -> None:
     model.write_binary(str(tmp_path / "vase/output/sparse/0"))
     scene = load_scene(tmp_path / "vase" / part, DataConfig())
     assert len(scene.train) + len(scene.test) == 9
-    assert scene.notes[0] == f"{Path(part).name} is a part of the scene {scene.name}, which is read"
+    assert scene.notes[0] == f"{Path(part).name} is a part of the scene {scene.name}, so {scene.name} is read"
 
 
 def test_one_mask_for_two_photographs_is_used_for_none(root: Path) -> None:
@@ -275,7 +274,9 @@ def test_one_mask_for_two_photographs_is_used_for_none(root: Path) -> None:
 
     edit_json(root / "cameras.json", rig)
     scene = load_scene(root, DataConfig())
-    assert not scene.masked and scene.notes[0].startswith("masks/0.png may be the mask of several photographs: it is")
+    assert not scene.masked and scene.notes[0].startswith(
+        "masks/0.png may be the mask of several photographs, so it is ignored"
+    )
 
 
 def test_extensions_in_capitals(root: Path) -> None:
@@ -299,5 +300,5 @@ def test_a_confined_scene_takes_nothing_from_outside(tmp_path: Path, root: Path,
     if not cameras:
         assert find_capture(inner, confined).kind is None, "photographs without cameras"
         return
-    with pytest.raises(SceneError, match="only 0 of 12 photographs"):
+    with pytest.raises(SceneError, match="only 0 of the 12 photographs"):
         load_scene(inner, confined)

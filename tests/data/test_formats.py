@@ -125,7 +125,7 @@ def test_a_scene_beside_files_that_are_none_of_it(tmp_path: Path, ball: BallCapt
 def test_two_scenes_in_one_folder_are_named(tmp_path: Path, ball: BallCapture) -> None:
     for name in ("can", "ball"):
         ball.write_plain(tmp_path / name)
-    with pytest.raises(SceneError, match=r"2 scenes in it \(ball, can\); give one of them"):
+    with pytest.raises(SceneError, match=r"2 scenes \(ball, can\); choose one of them"):
         load_scene(tmp_path, DataConfig())
 
 
@@ -134,7 +134,7 @@ def test_what_else_a_folder_could_be_read_as_is_told(tmp_path: Path, ball: BallC
     scene = load_scene(root, DataConfig())
     assert scene.format == "plain"
     assert scene.notes == (
-        "read from cameras.json (plain); transforms_train.json (blender) in the same folder is not used",
+        "the scene is read from cameras.json (plain); transforms_train.json (blender) in the same folder is ignored",
     )
 
 
@@ -193,7 +193,7 @@ def test_alpha_of_255_everywhere_is_no_mask(tmp_path: Path, ball: BallCapture) -
         save(path, np.full((SIDE, SIDE, 4), 255, np.uint8), "RGBA")
     scene = load_scene(root, DataConfig())
     assert not scene.masked and scene.train[0].alpha is None
-    with pytest.raises(SceneError, match="masks=object: every mask is white"):
+    with pytest.raises(SceneError, match="masks=object: every mask is completely white"):
         load_scene(root, DataConfig(masks=Masks.OBJECT))
 
 

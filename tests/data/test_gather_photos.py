@@ -130,16 +130,16 @@ def test_what_is_no_photograph_is_left_out_with_its_cure(tmp_path: Path) -> None
         (photos / name).write_bytes(content)
     names = [f"{i}.png" for i in range(9)]
     for name, reason in (
-        ("cut.jpg", "not an image that can be read"),
+        ("cut.jpg", "not a readable image"),
         ("empty.png", "empty.png is an empty file; copy or download it again"),
-        ("film.heic", "film.heic is a video and not a photograph; give a video without photographs"),
-        ("pointer.png", "pointer.png is a pointer of Git LFS .*`git lfs pull`"),
+        ("film.heic", "film.heic is a video, not a photograph; give a video without photographs"),
+        ("pointer.png", "pointer.png is a pointer of Git LFS, .*`git lfs pull`"),
     ):
         found = gather(photos, [photos / item for item in [*names, name]], tmp_path / name / "images")
         assert len(found.shots) == 9 and len(found.notes) == 1
         with pytest.raises(
             AssertionError,
-            match=rf"1 of 10 photographs can't be read and are left out \({name}\); the first: .*{reason}",
+            match=rf"1 of 10 photographs cannot be read and were skipped \({name}\); the first: .*{reason}",
         ):
             raise AssertionError(found.notes[0])
 
@@ -153,7 +153,7 @@ def test_equal_names_in_several_folders(tmp_path: Path) -> None:
         (photos / side / "3.png").touch()
     found = gather(photos, find_photos(photos, photos), tmp_path / "images")
     assert [shot.name for shot in found.shots] == ["left/1.png", "left/2.png", "right/1.png", "right/2.png"]
-    assert found.notes[0].startswith("2 of 6 photographs can't be read and are left out (left/3.png, right/3.png)")
+    assert found.notes[0].startswith("2 of 6 photographs cannot be read and were skipped (left/3.png, right/3.png)")
 
 
 def test_damage_of_most_is_an_error(tmp_path: Path) -> None:
@@ -165,7 +165,7 @@ def test_damage_of_most_is_an_error(tmp_path: Path) -> None:
         else:
             (photos / f"{i}.png").write_text(POINTER)
     with pytest.raises(
-        SceneError, match=r"4 of 7 photographs can't be read; the first: 3\.png is a pointer of Git LFS"
+        SceneError, match=r"4 of 7 photographs cannot be read; the first: 3\.png is a pointer of Git LFS"
     ):
         find_poses(photos, tmp_path / "scene", 0, lambda text: None)
     assert not (tmp_path / "scene").exists()
@@ -177,14 +177,16 @@ def test_a_video_instead_of_photographs(tmp_path: Path) -> None:
     film.write_bytes(b"film")
     with pytest.raises(SceneError, match=r"clip\.mp4: expected an MP4, MOV, WebM or Matroska video"):
         find_poses(film, tmp_path / "scene", 0)
-    with pytest.raises(SceneError, match=r"photos: 0 images; .*; 1 video \(clip\.mp4\) left out; give a video without"):
+    with pytest.raises(
+        SceneError, match=r"photos: it holds 0 images, .*; 1 video \(clip\.mp4\) skipped; give a video without"
+    ):
         find_photos(film.parent, film.parent)
 
 
 def test_raw_photographs_instead_of_developed_ones(tmp_path: Path) -> None:
     for name in ("a.NEF", "b.NEF"):
         (tmp_path / name).write_bytes(b"raw")
-    with pytest.raises(SceneError, match=r"2 raw photographs \(a\.NEF, \.\.\.\) left out; develop"):
+    with pytest.raises(SceneError, match=r"2 raw photographs \(a\.NEF, \.\.\.\) skipped; convert"):
         find_photos(tmp_path, tmp_path)
 
 

@@ -150,7 +150,9 @@ def test_channels_of_an_exr_go_by_their_names(
 def test_an_exr_of_which_no_layer_is_the_picture(tmp_path: Path, channels: dict[str, float]) -> None:
     write_exr(tmp_path / "a.exr", channels)
     name = next(iter(channels))
-    with pytest.raises(SceneError, match=rf"a\.exr: expected channels R, G, B.*got .*{name}.*view 3.*layer alone"):
+    with pytest.raises(
+        SceneError, match=rf"a\.exr: expected channels R, G, B.*got .*{name}.*view 3.*only the photograph's layer"
+    ):
         read_image(tmp_path / "a.exr", "view 3")
 
 
@@ -177,7 +179,7 @@ def test_an_exr_of_which_the_error_is_no_text(tmp_path: Path) -> None:
     path = write_exr(tmp_path / "a.exr", LIGHT)
     path.write_bytes(path.read_bytes().replace(b"chlist", b"ch\xffist"))
     with pytest.raises(
-        SceneError, match=r"a\.exr: not an image that can be read: .*ch\ufffdist.*view 3.*copy it again"
+        SceneError, match=r"a\.exr: this file is not a readable image: .*ch\ufffdist.*view 3.*copy it again"
     ):
         read_image(path, "view 3")
 
@@ -208,7 +210,9 @@ def test_the_display_window_of_an_exr_is_read(
 def test_a_display_window_that_would_fill_the_memory(tmp_path: Path) -> None:
     path = write_exr(tmp_path / "a.exr", LIGHT, display=(0, 0, 1 << 20, 1 << 20))
     for read in (image_size, read_image):
-        with pytest.raises(SceneError, match=r"a\.exr: 1048576x1048576 pixels; at most .*: reduce it"):
+        with pytest.raises(
+            SceneError, match=r"a\.exr: 1048576x1048576 pixels exceed the limit of .* in one image; reduce it"
+        ):
             read(path, "test")
 
 
@@ -252,7 +256,10 @@ def test_a_float_tiff_with_values_of_8_bits(tmp_path: Path) -> None:
     values[:, :4] = 0  # most of it is black
     values[0, 5] = 217.5
     tifffile.imwrite(tmp_path / "a.tif", values, photometric="rgb")
-    with pytest.raises(SceneError, match=r"a\.tif: float values up to 217\.5; .* 0 to 1: divide them.*view 3"):
+    with pytest.raises(
+        SceneError,
+        match=r"a\.tif: expected linear light from 0 to 1, got float values up to 217\.5; divide them.*view 3",
+    ):
         read_image(tmp_path / "a.tif", "view 3")
     tifffile.imwrite(tmp_path / "a.tif", values / 255, photometric="rgb")
     assert read_image(tmp_path / "a.tif", "view 3")[0][3, 5].tolist() == [188] * 3  # 128 / 255 is 0.502
@@ -317,16 +324,18 @@ def test_truncated_jpeg(tmp_path: Path) -> None:
     Image.fromarray(RNG.integers(0, 256, (90, 120, 3), dtype=np.uint8)).save(tmp_path / "a.jpg")
     data = (tmp_path / "a.jpg").read_bytes()
     (tmp_path / "a.jpg").write_bytes(data[: len(data) // 2])
-    with pytest.raises(SceneError, match=r"a\.jpg: damaged image: .*Premature end.*asked for by view 3.*copy it again"):
+    with pytest.raises(
+        SceneError, match=r"a\.jpg: the image is damaged: .*Premature end.*named by view 3.*copy it again"
+    ):
         read_image(tmp_path / "a.jpg", "view 3")
 
 
-@pytest.mark.parametrize(("cut", "message"), [(20, "not an image that can be read"), (400, "damaged image")])
+@pytest.mark.parametrize(("cut", "message"), [(20, "this file is not a readable image"), (400, "the image is damaged")])
 def test_truncated_heic(tmp_path: Path, cut: int, message: str) -> None:
     pillow_heif = pytest.importorskip("pillow_heif")
     pillow_heif.from_pillow(Image.new("RGB", (96, 64))).save(tmp_path / "a.heic")
     (tmp_path / "a.heic").write_bytes((tmp_path / "a.heic").read_bytes()[:cut])
-    with pytest.raises(SceneError, match=rf"(?s)a\.heic: {message}.*asked for by view 3.*; copy it again"):
+    with pytest.raises(SceneError, match=rf"(?s)a\.heic: {message}.*named by view 3.*; copy it again"):
         read_image(tmp_path / "a.heic", "view 3")
 
 
@@ -339,14 +348,14 @@ def test_a_heic_whose_header_lies_about_its_colors(tmp_path: Path) -> None:
     whole[whole.index(b"hvcC") + 20] &= 0xFC  # chroma_format_idc of ISO/IEC 14496-15: monochrome
     path.write_bytes(whole)
     assert image_size(path, "view 3") == (96, 64)
-    with pytest.raises(SceneError, match=r"a\.heic: damaged image: .*asked for by view 3.*; copy it again"):
+    with pytest.raises(SceneError, match=r"a\.heic: the image is damaged: .*named by view 3.*; copy it again"):
         read_image(path, "view 3")
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.exr", "a.heic"])
 def test_wrong_magic(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"GIF89 no, not really an image at all")
-    with pytest.raises(SceneError, match=rf"{name}: not an image that can be read: .*asked for by view 3"):
+    with pytest.raises(SceneError, match=rf"{name}: this file is not a readable image: .*named by view 3"):
         read_image(tmp_path / name, "view 3")
 
 
@@ -362,7 +371,7 @@ def test_images_too_large_for_any_machine_are_refused_by_their_header(tmp_path: 
         chunk(b"IEND", b""),
     ]
     (tmp_path / "a.png").write_bytes(b"".join(parts))
-    with pytest.raises(SceneError, match=r"a\.png: .*image size 28610.* MB exceeds.*asked for by view 3\); reduce it"):
+    with pytest.raises(SceneError, match=r"a\.png: .*image size 28610.* MB exceeds.*named by view 3\); reduce it"):
         read_image(tmp_path / "a.png", "view 3")
 
 
@@ -371,7 +380,7 @@ def test_large_images_below_the_limit_are_taken(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(images, "MAX_PIXELS", 1000)
     assert image_size(tmp_path / "a.png", "test") == (40, 25)
     monkeypatch.setattr(images, "MAX_PIXELS", 999)
-    with pytest.raises(SceneError, match="40x25 pixels; at most 999 in one image are taken: reduce it"):
+    with pytest.raises(SceneError, match="40x25 pixels exceed the limit of 999 in one image; reduce it"):
         image_size(tmp_path / "a.png", "test")
 
 
@@ -407,7 +416,7 @@ def test_a_heic_that_holds_no_image_is_refused(tmp_path: Path, monkeypatch: pyte
     path = tmp_path / "a.heic"
     path.write_bytes(b"\0\0\0\x18ftypheic")
     monkeypatch.setattr(pillow_heif, "open_heif", lambda *_, **__: [][0])
-    with pytest.raises(SceneError, match="not an image that can be read: list index"):
+    with pytest.raises(SceneError, match="not a readable image: list index"):
         read_picture(path, "test")
 
 

@@ -174,7 +174,7 @@ def test_bytes_are_resampled_as_floats_are(channels: int) -> None:
 
 
 def test_a_lens_without_usable_image_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"view 3: the lens distortion .* leaves no usable image"):
+    with pytest.raises(SceneError, match=r"view 3: the lens distortion .* leaves no usable pixels"):
         undistortion(Lens(k1=-1e6), K, 96, 64, "view 3")
 
 

@@ -144,7 +144,7 @@ def masked_views(tmp_path: Path, change: Callable[[np.ndarray], np.ndarray]) -> 
 
 def test_inverted_masks_are_noticed(tmp_path: Path) -> None:
     loaded = masked_views(tmp_path, lambda mask: 255 - mask)
-    with pytest.raises(SceneError, match=r"the masks are inverted: white around the object.*masks=off"):
+    with pytest.raises(SceneError, match=r"the masks are inverted, white around the object.*masks=off"):
         settle_masks(loaded, [], Masks.AUTO)
     assert settle_masks(loaded, [], Masks.OFF).train[0].alpha is None
 
@@ -181,7 +181,7 @@ def test_photographs_by_label(tmp_path: Path) -> None:
     assert find("img_1") == find("C:\\dir\\IMG_1.jpg") == find("IMG_1.tif") == tmp_path / "a/IMG_1.JPG"
     assert isinstance(find("IMG_3"), MissingPhotoError)
     assert find("b/IMG_2") == tmp_path / "b/img_2.PNG"
-    assert re.match(r"labels: the photograph 'IMG_2' may be a/IMG_2\.png or b/img_2\.PNG; name it", str(find("IMG_2")))
+    assert re.match(r"labels: the photograph 'IMG_2' may be a/IMG_2\.png or b/img_2\.PNG; write", str(find("IMG_2")))
 
 
 @pytest.mark.parametrize("asked", ["Photos/a.JPG", "photos/u\u0308.png", "photos/\u00fc", "photos/b", "photos/B.jpeg"])
@@ -226,7 +226,7 @@ def test_a_bad_photograph_is_told_of_and_loses_no_other(tmp_path: Path) -> None:
     first, bad, last = load_views(photos, ["first", "bad", "last"], DataConfig())
     assert isinstance(first, LoadedView) and isinstance(last, LoadedView)
     assert first.view.image.shape == last.view.image.shape == (40, 60, 3)
-    assert isinstance(bad, SceneError) and "bad.png: not an image that can be read" in str(bad)
+    assert isinstance(bad, SceneError) and "bad.png: this file is not a readable image" in str(bad)
 
 
 def test_bad_photographs_stop_the_others_once_they_are_the_most(
@@ -287,4 +287,4 @@ def test_names_in_files_that_no_file_can_have(tmp_path: Path) -> None:
         content["views"][1]["image"] = name
         (root / "cameras.json").write_text(json.dumps(content))
         (lost,) = read_capture(root, "plain").lost
-        assert re.search("too long, or with a zero byte, for a file's name; mend the file", str(lost))
+        assert re.search("a file name may not be so long or have a zero byte; fix the file", str(lost))

@@ -72,19 +72,19 @@ def test_what_is_to_be_ignored(masks: list[np.ndarray]) -> None:
 
 
 def test_a_thing_that_stands_still_may_be_either() -> None:
-    with pytest.raises(SceneError, match=r"may show an object or what is to be ignored .*masks=object .*masks=ignore"):
+    with pytest.raises(SceneError, match=r"may mark an object or areas to ignore .*masks=object .*masks=ignore"):
         find_mask_use(standing_still(), cameras(BALL))
 
 
 def test_a_ball_that_all_images_cut_off_may_be_either() -> None:
     """Check that such masks are doubtful: the ball leaves the corners black, and so does a round lens hood."""
     close = BallCapture(views=24, K=np.array([[145.0, 0, 32], [0, 145, 32], [0, 0, 1]]))
-    with pytest.raises(SceneError, match="may show an object or what is to be ignored"):
+    with pytest.raises(SceneError, match="may mark an object or areas to ignore"):
         find_mask_use(silhouettes(close), cameras(close))
 
 
 def test_inverted_silhouettes() -> None:
-    with pytest.raises(SceneError, match=r"the masks are inverted: .*masks=ignore"):
+    with pytest.raises(SceneError, match=r"the masks are inverted, .*masks=ignore"):
         find_mask_use([255 - mask for mask in silhouettes(BALL)], cameras(BALL))
 
 
@@ -116,7 +116,7 @@ def test_photographs_without_a_mask_are_used_whole(tmp_path: Path) -> None:
     masks = [mask if i % 3 else None for i, mask in enumerate(passers_by(0.1))]
     scene = load_scene(capture(tmp_path, masks), DataConfig())
     assert len(scene.train) + len(scene.test) == 24 and not scene.masked
-    assert scene.notes[0].startswith("the masks say what to ignore")
+    assert scene.notes[0].startswith("the masks mark areas to ignore")
 
 
 def test_instant_ngps_dynamic_masks(tmp_path: Path) -> None:
@@ -143,14 +143,14 @@ def test_skies_are_no_silhouettes(tmp_path: Path, top: float) -> None:
     if top < 0.2:  # nearly a strip
         assert not load_scene(root, DataConfig()).masked
     else:
-        with pytest.raises(SceneError, match="may show an object or what is to be ignored"):
+        with pytest.raises(SceneError, match="may mark an object or areas to ignore"):
             load_scene(root, DataConfig())
 
 
 def test_a_lens_hood_is_no_silhouette(tmp_path: Path) -> None:
     y, x = np.mgrid[:SIDE, :SIDE] + 0.5
     hood = np.where(np.hypot(x - 32, y - 32) < 34, 255, 0).astype(np.uint8)
-    with pytest.raises(SceneError, match="may show an object or what is to be ignored"):
+    with pytest.raises(SceneError, match="may mark an object or areas to ignore"):
         load_scene(capture(tmp_path, [hood] * BALL.views), DataConfig())
 
 
@@ -180,5 +180,5 @@ def test_the_meaning_that_is_given_counts(tmp_path: Path) -> None:
 
 
 def test_ignore_without_masks_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="masks=ignore: no photograph has a mask; put them into masks/"):
+    with pytest.raises(SceneError, match="masks=ignore: no photograph has a mask; copy masks to masks/"):
         load_scene(capture(tmp_path, []), DataConfig(masks=Masks.IGNORE))

@@ -43,4 +43,4 @@ def test_views_without_the_object_and_with_odd_masks_are_left_out(folder: Path) 
     found = with_object(bare, masks, [present(view.alpha) for view in masked.test])
     names = [view.name for view in found.train]
     assert bare.train[0].name not in names and bare.train[3].name not in names and len(names) == len(masks) - 2
-    assert "leave out where the others have the object" in found.notes[-1]
+    assert "exclude places that the others count as the object" in found.notes[-1]

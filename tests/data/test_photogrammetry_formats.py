@@ -184,7 +184,7 @@ def test_bundler_files_by_the_names_that_programs_give(tmp_path: Path, bundle: s
 
 def test_a_camera_that_bundler_did_not_place_is_lost_alone(tmp_path: Path) -> None:
     bundler(tmp_path, edit=lambda text: text.replace(f"{F} 0.2", "0 0.2", 1))
-    loses(tmp_path, "bundler", "bundle.out, camera 0 (images/000.jpg)", "did not place it")
+    loses(tmp_path, "bundler", "bundle.out, camera 0 (images/000.jpg)", "it has no pose")
 
 
 def test_a_camera_with_no_number_is_lost_alone(tmp_path: Path) -> None:
@@ -196,7 +196,7 @@ def test_damaged_bundler_files_are_named(tmp_path: Path) -> None:
     bundler(tmp_path)
     whole = (tmp_path / "bundle.out").read_text()
     for text, reason in [
-        (whole[:200], "ends early"),
+        (whole[:200], "truncated"),
         (whole.replace("4 2", "4 -2"), "expected a count"),
         (whole.replace("v0.3", "v0.4"), "version v0.4"),
     ]:
@@ -204,9 +204,9 @@ def test_damaged_bundler_files_are_named(tmp_path: Path) -> None:
         fails(tmp_path, "bundler", "bundle.out", reason, "export")
     (tmp_path / "bundle.out").write_text(whole)
     (tmp_path / "list.txt").write_text("a.jpg\n")
-    fails(tmp_path, "bundler", "list.txt: names 1 photographs for the 4 cameras of bundle.out")
+    fails(tmp_path, "bundler", "list.txt: the list names 1 photographs, but bundle.out has 4 cameras")
     (tmp_path / "list.txt").unlink()
-    fails(tmp_path, "bundler", "bundle.out: 0 lists of its 4 photographs", "put list.txt beside it")
+    fails(tmp_path, "bundler", "bundle.out: expected one list of its 4 photographs, found 0", "add list.txt beside it")
 
 
 # VisualSFM
@@ -300,7 +300,7 @@ def test_the_largest_model_of_an_nvm_is_used(tmp_path: Path) -> None:
     nvm(tmp_path, 0.0, edit=lambda text: text.replace("4  \n", small + "4  \n"))
     capture = read_capture(tmp_path, "nvm")
     agree(capture, plain_pixels)
-    assert capture.notes == ("the largest model of scene.nvm is used, with 4 photographs; others have 1",)
+    assert capture.notes == ("the largest model of scene.nvm with 4 photographs is used; the others have 1",)
 
 
 def test_one_bad_camera_of_an_nvm_is_lost_alone(tmp_path: Path) -> None:
@@ -315,7 +315,7 @@ def test_damaged_nvm_files_are_named(tmp_path: Path) -> None:
     whole = (tmp_path / "scene.nvm").read_text()
     for text, reason in [
         (whole[:150], "expected a photograph's name and 10 numbers"),
-        (whole[: whole.index("images/002")], "ends early"),
+        (whole[: whole.index("images/002")], "truncated"),
         (whole.replace("4  ", "four"), "four"),
         ("NVM_V3\n0\n", "no photographs"),
         ("NVM_V3\n", "no photographs"),
@@ -581,7 +581,7 @@ def test_meshroom_views_that_cannot_be_used_are_lost_alone(tmp_path: Path) -> No
         loses(tmp_path, "meshroom", "cameras.sfm, view 0 (images/000.jpg)", *parts)
 
     lose(lambda content: content["poses"].pop(0), "no pose")
-    lose(lambda content: content["views"][0].update(intrinsicId="8"), "intrinsics '8' are not in the file")
+    lose(lambda content: content["views"][0].update(intrinsicId="8"), "lacks its intrinsics '8'; export it again")
     lose(lambda content: content["poses"][0].update(pose=""), "expected a pose with rotation and center")
     lose(
         lambda content: content["poses"][0]["pose"]["transform"].update(center=["nan", "1", "2"]), "center: expected 3"
@@ -595,7 +595,7 @@ def test_meshroom_views_that_cannot_be_used_are_lost_alone(tmp_path: Path) -> No
         ({"type": "equidistant"}, "ExportImages"),
         ({"distortionType": "3declassicld"}, "ExportImages"),
         ({"undistortionParams": ["0", "0.1"]}, "ExportImages"),
-        ({"sensorWidth": "0"}, "expected numbers above 0"),
+        ({"sensorWidth": "0"}, "expected pixelRatio and sensorWidth above 0"),
         ({"distortionType": "radialk3", "distortionParams": ["1"]}, "distortionParams: expected 3 numbers"),
     ],
 )
@@ -826,14 +826,14 @@ def test_a_blocks_fisheye_is_a_polynomial_of_the_angle_over_90_degrees(tmp_path:
     [
         ("Perspective", "Spherical", ("panorama",)),
         ("Perspective", "Pushbroom", ("expected Perspective or Fisheye",)),
-        ("EPSG:2154", "EPSG:4326+5773", ("longitude and latitude", "choose a projected")),
+        ("EPSG:2154", "EPSG:4326+5773", ("longitude and latitude", "in a projected")),
         ("XRightYDown", "XUpYDownish", ("CameraOrientation", "XRightYDown")),
-        (f"<FocalLengthPixels>{F}</FocalLengthPixels>", "", ("FocalLength", "expected a number")),
+        (f"<FocalLengthPixels>{F}</FocalLengthPixels>", "", ("FocalLength", "expected a")),
         (f"<FocalLengthPixels>{F}</FocalLengthPixels>", "<FocalLength>5</FocalLength>", ("SensorSize",)),
         ("M_00>", "N_00>", ("neither a matrix nor Omega",)),
         ("<Pose>", "<NoPose>", ("not valid XML",)),
         ("<BlocksExchange", "<!DOCTYPE x><BlocksExchange", ("DOCTYPE",)),
-        ("Photogroup>", "Group>", ("no photographs in it",)),
+        ("Photogroup>", "Group>", ("it lists no photographs",)),
     ],
 )
 def test_blocks_that_cannot_be_used_are_refused_with_a_cure(
@@ -985,9 +985,9 @@ def test_one_bad_xmp_is_lost_alone(tmp_path: Path) -> None:
     (tmp_path / "000.xmp").write_text((tmp_path / "000.xmp").read_text()[:-30])
     loses(tmp_path, "realitycapture_xmp", "000.xmp: not valid XML")
     (tmp_path / "000.xmp").write_text(xmp({name: value for name, value in rc_values(0).items() if name != "Position"}))
-    loses(tmp_path, "realitycapture_xmp", "000.xmp: no Position and Rotation")
+    loses(tmp_path, "realitycapture_xmp", "000.xmp: it has no Position and Rotation")
     (tmp_path / "000.xmp").write_text("<!DOCTYPE x [<!ENTITY a 'b'>]>" + xmp(rc_values(0)))
-    loses(tmp_path, "realitycapture_xmp", "000.xmp: has a DOCTYPE")
+    loses(tmp_path, "realitycapture_xmp", "000.xmp: the file has a DOCTYPE")
     realitycapture_xmp(tmp_path)
     (tmp_path / "000.jpg").unlink()
     capture = read_capture(tmp_path, "realitycapture_xmp")
@@ -1049,7 +1049,7 @@ def test_kapture_places_sensors_themselves_and_through_rigs(tmp_path: Path, edit
     ("file", "old", "new", "parts"),
     [
         ("records_camera", "0000, cam0", "0000, cam1", ("sensors.txt has no camera cam1", "COLMAP")),
-        ("records_camera", "0000, cam0", "0009, cam0", ("no pose of cam0 at time 0009",)),
+        ("records_camera", "0000, cam0", "0009, cam0", ("has no pose of cam0 or its rig at time 0009",)),
         ("trajectories", fields(quaternion(ROTATIONS[0])), ", , , ", ("pose: expected 7 numbers",)),
     ],
 )
@@ -1064,7 +1064,7 @@ def test_kapture_records_that_cannot_be_used_are_lost_alone(
     ("file", "old", "new", "parts"),
     [
         ("sensors", "OPENCV", "UNKNOWN_CAMERA", ("no camera cam0 with a model",)),
-        ("sensors", ", -0.02", "", ("camera model OPENCV has 8 parameters, got 7", "mend the file")),
+        ("sensors", ", -0.02", "", ("camera model OPENCV has 8 parameters, got 7", "fix the file")),
         ("sensors", "OPENCV", "LIGHTFIELD", ("camera model LIGHTFIELD is not supported",)),
         ("trajectories", "3, rig, ", "3 rig ", ("trajectories.txt, line 5: expected at least 9 values",)),
         ("rigs", "rig, cam0", "rig; cam0", ("rigs.txt, line 2",)),
@@ -1077,7 +1077,7 @@ def test_damaged_kapture_files_are_named(tmp_path: Path, file: str, old: str, ne
 
 def test_kapture_without_trajectories_says_so(tmp_path: Path) -> None:
     (kapture(tmp_path) / "sensors/trajectories.txt").unlink()
-    fails(tmp_path, "kapture", "sensors/trajectories.txt is missing", "put it there")
+    fails(tmp_path, "kapture", "lacks sensors/trajectories.txt", "add it")
 
 
 def test_rigs_that_hold_each_other_end(tmp_path: Path) -> None:
@@ -1123,8 +1123,8 @@ def test_pix4d_projects_as_its_head_says(tmp_path: Path, edit: Callable[..., Any
 @pytest.mark.parametrize(
     ("old", "new", "parts"),
     [
-        ("camera model m", "model m", ("0 lines after its head",)),
-        ("0.01 -0.02\n", "", ("lines after its head, expected 10 for each photograph",)),
+        ("camera model m", "model m", ("got 0 lines in all",)),
+        ("0.01 -0.02\n", "", ("expected 10 lines per photograph after the header",)),
         ("0.01 -0.02\n", "0.01\n", ("tangential distortion: expected 2 numbers",)),
         (f".jpg {WIDTH} {HEIGHT}", "", ("expected a photograph's name, width and height",)),
     ],

@@ -69,8 +69,8 @@ def test_middlebury_with_a_byte_order_mark_beside_a_file_of_macos(tmp_path: Path
     ("lines", "message"),
     [
         ([], r"v_par\.txt is an empty file"),
-        (["# none"], r"v_par\.txt: the first line must be the count"),
-        (["3", "v0.png 1 2 3"], r"the first line must be the count of the others \(1\), got '3'"),
+        (["# none"], r"v_par\.txt: expected the number of further lines \(0\) in the first line"),
+        (["3", "v0.png 1 2 3"], r"expected the number of further lines \(1\) in the first line, got '3'"),
         (["1", "v0.png 1 2 3"], "line 2: expected an image's name and 21 numbers .*got 3 numbers"),
         (["1", "v0.png " + "x " * 21], "line 2: could not convert"),
         (["1", "../elsewhere.png " + "1 " * 21], r"\.\./elsewhere\.png is missing"),
@@ -120,8 +120,8 @@ def test_masks_of_dtu_go_by_their_order(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda m: m.pop("world_mat_3"), r"3 cameras \(world_mat_0\.\.\.\), but 4 images in image/"),
-        (lambda m: m.pop("world_mat_1"), r"damaged, or without world_mat_0"),
+        (lambda m: m.pop("world_mat_3"), r"it has 3 cameras \(world_mat_0\.\.\.\), but image/ has 4 images"),
+        (lambda m: m.pop("world_mat_1"), r"damaged or lacks world_mat_0"),
         (lambda m: m.update(world_mat_1=np.zeros((4, 4))), "world_mat_1 .*has NaN or is singular"),
         (lambda m: m.update(world_mat_1=np.full((4, 4), np.nan)), "world_mat_1 .*has NaN"),
         (
@@ -129,7 +129,7 @@ def test_masks_of_dtu_go_by_their_order(tmp_path: Path) -> None:
             r"expected a 4x4 projection matrix, got shape \[3\]",
         ),
         (lambda m: m.update(world_mat_1=np.array([{}])), "damaged"),
-        (lambda m: m.update(huge=np.zeros(100_000)), "takes 800128 bytes, expected 65536 at most"),
+        (lambda m: m.update(huge=np.zeros(100_000)), "has 800128 bytes, expected at most 65536"),
     ],
 )
 def test_neus_refusals(tmp_path: Path, change: Callable[..., Any], message: str) -> None:
@@ -140,11 +140,11 @@ def test_neus_refusals(tmp_path: Path, change: Callable[..., Any], message: str)
 def test_neus_file_that_is_no_archive(tmp_path: Path) -> None:
     neus(tmp_path)
     (tmp_path / "cameras_sphere.npz").write_bytes(b"PK\x03\x04 not really")
-    with pytest.raises(SceneError, match=r"cameras_sphere\.npz: damaged"):
+    with pytest.raises(SceneError, match=r"cameras_sphere\.npz: the file is damaged"):
         read_capture(tmp_path, "neus")
 
 
 def test_neus_without_images(tmp_path: Path) -> None:
     np.savez(tmp_path / "cameras_sphere.npz", world_mat_0=np.eye(4))
-    with pytest.raises(SceneError, match="no images in image/ or images/; put them there"):
+    with pytest.raises(SceneError, match="there are no images in image/ or images/; copy them there"):
         read_capture(tmp_path, "neus")

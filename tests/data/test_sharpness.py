@@ -86,8 +86,8 @@ def ring(count: int, arc: float = 360) -> list[View]:
     [
         (ring(4), False, "the surface is a guess"),
         (ring(6), False, "the surface is a guess"),
-        (ring(6, arc=60), False, "with 6 training photographs the surface is rough"),
-        (ring(4), True, "with 4 training photographs the surface is little more than what the silhouettes allow"),
+        (ring(6, arc=60), False, "with 6 training photographs, the surface is rough"),
+        (ring(4), True, "with 4 training photographs, the surface is hardly better than the visual hull"),
         (ring(16), False, None),
         (ring(12), True, None),
         (ring(9, arc=60), False, None),

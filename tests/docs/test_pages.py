@@ -63,8 +63,9 @@ def test_the_table_of_settings_has_every_one_with_its_default() -> None:
 
 def test_comments_that_go_on_belong_to_their_setting() -> None:
     table = settings_markdown()
-    assert "there the soft edges of splats" in table and "an environment map, leaves at most this share" in table
-    assert "count Positions move slowly" not in table
+    assert "There, soft edges of splats would make the object smaller." in table
+    assert "an environment map leaves at most this share of the residual" in table
+    assert "Positions move slowly" not in table
 
 
 def test_the_added_step_smooths_a_mesh() -> None:

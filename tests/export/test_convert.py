@@ -127,7 +127,9 @@ def test_scales_that_files_can_not_hold(tmp_path: Path, scale: float) -> None:
         ("mesh.ply", "b.ply"),
         ("mesh.ply", "b.glb"),
     ):
-        with pytest.raises(ConfigError, match=r"--scale 1e[-+].*: makes places of up to .* nearer to 1"):
+        with pytest.raises(
+            ConfigError, match=r"--scale 1e[-+].*would turn coordinates of up to .* choose a scale nearer to 1"
+        ):
             convert(tmp_path / source, tmp_path / target, scale)
 
 
@@ -140,14 +142,14 @@ def test_errors_of_splats_name_the_file(tmp_path: Path) -> None:
     vertex = PlyData.read(str(tmp_path / "a.ply"))["vertex"].data
     more = append_fields(vertex, [f"f_rest_{i}" for i in range(45, 72)], [np.zeros(40, "<f4")] * 27, usemask=False)
     PlyData([PlyElement.describe(more, "vertex")]).write(str(tmp_path / "d4.ply"))
-    with pytest.raises(SceneError, match=r"d4\.ply: sh: expected .* \(degree 3 at most\), got \[40, 25, 3\]"):
+    with pytest.raises(SceneError, match=r"d4\.ply: sh: expected .* \(at most degree 3\), got \[40, 25, 3\]"):
         convert(tmp_path / "d4.ply", tmp_path / "b.spz")
 
 
 def test_the_light_splits_loss_is_told(tmp_path: Path) -> None:
     given = splats() | {"refl_opacity_logits": np.zeros(40, np.float32), "weight_logits": np.zeros(40, np.float32)}
     write_splats(tmp_path / "a.ply", given | {"refl_sh": np.zeros((40, 1, 3), np.float32)})
-    assert convert(tmp_path / "a.ply", tmp_path / "b.spz") == "40 splats, without their reflected half"
+    assert convert(tmp_path / "a.ply", tmp_path / "b.spz") == "40 splats, without their reflected light"
     assert convert(tmp_path / "a.ply", tmp_path / "b.ply") == "40 splats"
 
 
@@ -155,17 +157,17 @@ def test_refusals(tmp_path: Path) -> None:
     write_splats(tmp_path / "splats.ply", splats())
     write_ply(tmp_path / "mesh.ply", *mesh_and_colors(*ball()))
     with pytest.raises(
-        ConfigError, match=r"b\.obj: .*splats\.ply is taken as splats, .* \.compressed\.ply, \.ply, \.spz"
+        ConfigError, match=r"b\.obj: .*splats\.ply is read as splats; .* \.compressed\.ply, \.ply, \.spz"
     ):
         convert(tmp_path / "splats.ply", tmp_path / "b.obj")
     for name in ("b.spz", "b.compressed.ply", "b"):
-        with pytest.raises(ConfigError, match=rf"{name}: .*mesh\.ply is taken as a mesh, .* \.ply, \.glb, \.obj"):
+        with pytest.raises(ConfigError, match=rf"{name}: .*mesh\.ply is read as a mesh; .* \.ply, \.glb, \.obj"):
             convert(tmp_path / "mesh.ply", tmp_path / name)
-    with pytest.raises(ConfigError, match=r"--up z: only \.glb files are turned, .*b\.ply keeps the frame"):
+    with pytest.raises(ConfigError, match=r"--up z: only \.glb files are turned, and .*b\.ply keeps the frame"):
         convert(tmp_path / "splats.ply", tmp_path / "b.ply", up=UpAxis.Z)
     with pytest.raises(ConfigError, match="--scale 0: expected a number above 0"):
         convert(tmp_path / "mesh.ply", tmp_path / "b.obj", scale=0)
-    with pytest.raises(ConfigError, match=r"gone\.ply: no such file"):
+    with pytest.raises(ConfigError, match=r"gone\.ply: this file does not exist"):
         convert(tmp_path / "gone.ply", tmp_path / "b.obj")
     (tmp_path / "bad.obj").write_text("hello")
     with pytest.raises(MeshError, match=r"bad\.obj"):

@@ -52,7 +52,7 @@ def test_maps_alone_are_a_light(tmp_path: Path) -> None:
 def test_a_broken_file_is_named(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "light.npz"
     path.write_bytes(content)
-    with pytest.raises(SceneError, match=r"light\.npz: not an environment map"):
+    with pytest.raises(SceneError, match=r"light\.npz: the file holds no environment map"):
         load_environment_map(path)
 
 

@@ -82,12 +82,12 @@ def test_the_origin_is_short_and_in_the_scene(frame: Similarity) -> None:
     np.testing.assert_array_equal([float(word) for word in text.split()], origin)
     np.testing.assert_array_equal(origin, np.round(origin, 5))
     (note,) = origin_notes(frame)
-    assert f"written about {text}, which they name" in note
+    assert f"positions relative to {text}, which they record" in note
 
 
 def test_the_note_tells_how_far_away() -> None:
     (note,) = origin_notes(Similarity(1.0, np.array([430987.0, 5411222.0, 210.0])))
-    assert note.startswith("the frame's origin lies 5,400,000 units away: ") and " 430987 5411222 210, " in note
+    assert note.startswith("the frame's origin lies 5,400,000 units away, ") and " 430987 5411222 210, " in note
 
 
 @pytest.mark.parametrize("offset", [(0, 0, 0), (1e-3, 5, -2), (0, 70, 0)])
@@ -117,7 +117,7 @@ def test_near_files_are_the_same_to_the_byte(tmp_path: Path) -> None:
 def test_conversions_keep_places(tmp_path: Path, frame: Similarity, suffix: str) -> None:
     _, given = write_far(tmp_path / "a.ply", frame)
     text = convert(tmp_path / "a.ply", tmp_path / f"b{suffix}")
-    assert text.endswith(f", about the origin {origin_text(origin_of_frame(frame))}, which the file names")
+    assert text.endswith(f", relative to the origin {origin_text(origin_of_frame(frame))}, which the file records")
     np.testing.assert_array_equal(named_origin((tmp_path / f"b{suffix}").read_bytes()), origin_of_frame(frame))
     convert(tmp_path / f"b{suffix}", tmp_path / "c.ply")
     # The compressed PLY's ten bits of a chunk's range, and SPZ's twenty bits after the point.
@@ -146,7 +146,9 @@ def test_other_programs_doubles(tmp_path: Path) -> None:
         wide[name] = vertex[name].astype(np.float64) + (UTM["xyz".index(name)] if name in "xyz" else 0)
     PlyData([PlyElement.describe(wide, "vertex")], byte_order="<").write(str(tmp_path / "a.ply"))
     for suffix in PACKED:
-        assert " about the origin 512345.6 4501234.4 431.2," in convert(tmp_path / "a.ply", tmp_path / f"b{suffix}")
+        assert " relative to the origin 512345.6 4501234.4 431.2," in convert(
+            tmp_path / "a.ply", tmp_path / f"b{suffix}"
+        )
         convert(tmp_path / f"b{suffix}", tmp_path / "c.ply")
         assert nearest(places(tmp_path / "c.ply"), given + UTM) < (2e-3 if "compressed" in suffix else 2e-6)
 
@@ -206,7 +208,7 @@ def test_origins_that_are_no_places(tmp_path: Path, words: bytes) -> None:
     convert(tmp_path / "a.ply", tmp_path / "a.spz")
     data = (tmp_path / "a.spz").read_bytes()
     (tmp_path / "b.spz").write_bytes(re.sub(rb"(mgsr origin )[^\0]*", lambda found: found[1] + words, data, count=1))
-    with pytest.raises(SceneError, match=r"b\.ply: its origin: expected three finite numbers, got .*; write the file"):
+    with pytest.raises(SceneError, match=r"b\.ply: expected an origin of three finite numbers, got .*; write the file"):
         read_origin(tmp_path / "b.ply")
     for name in ("b.ply", "b.spz"):
         with pytest.raises(SceneError, match=name.replace(".", r"\.")):

@@ -69,7 +69,7 @@ def test_only_what_is_there_is_written(tmp_path: Path) -> None:
 
 
 def test_names_stay_in_the_folder(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="stays inside"):
+    with pytest.raises(SceneError, match="a name inside"):
         write_view(tmp_path / "renders", "../r_0", view())
 
 

@@ -76,7 +76,7 @@ def test_the_reflected_half_is_appended(tmp_path: Path) -> None:
     assert (vertex["nz"] == 0).all()
     kept = PlyElement.describe(drop_fields(vertex.data, "refl_weight"), "vertex")
     PlyData([kept]).write(str(tmp_path / "half.ply"))
-    with pytest.raises(SceneError, match="it has no refl_weight"):
+    with pytest.raises(SceneError, match="the file lacks refl_weight"):
         load_splats(tmp_path / "half.ply")
 
 
@@ -107,7 +107,7 @@ def test_bad_arrays_are_refused(tmp_path: Path) -> None:
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "text.ply").write_text("no ply")
-    with pytest.raises(SceneError, match=r"text\.ply: expected a PLY of splats"):
+    with pytest.raises(SceneError, match=r"text\.ply: expected a PLY file of splats"):
         load_splats(tmp_path / "text.ply")
     with pytest.raises(SceneError, match=r"none\.ply"):
         load_splats(tmp_path / "none.ply")

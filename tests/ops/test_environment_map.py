@@ -173,7 +173,7 @@ def test_bad_arguments_are_named() -> None:
     camera = turned_camera(5, 9)
     with pytest.raises(TensorError, match="maps"):
         look_up_environment_map(maps[:, :4], normals, camera)
-    with pytest.raises(TensorError, match="maps: expected a texel"):
+    with pytest.raises(TensorError, match="maps: expected at least one texel"):
         look_up_environment_map(maps[:, :0, :0], normals, camera)
     with pytest.raises(TensorError, match="normals"):
         look_up_environment_map(maps, normals[:4], camera)

@@ -97,7 +97,7 @@ def test_from_files_to_a_running_job_by_keyboard_alone(visit: Opener, service: S
         expect(page.get_by_role("button", name="Cancel", exact=True)).to_be_focused()
         page.keyboard.press("Enter")
         expect(page.locator(".pill")).to_have_text("Stopping")
-        expect(page.locator("#announcer")).to_have_text("Stopping; a checkpoint is kept")
+        expect(page.locator("#announcer")).to_have_text("Stopping after a checkpoint")
 
 
 def test_the_viewer_by_keyboard(visit: Opener, addresses: dict[str, str]) -> None:

@@ -16,7 +16,7 @@ from tests.page.test_watch import submitted
 from tests.service.stack import Stack
 
 pytestmark = pytest.mark.slow
-GONE = "The service does not answer. Trying again"
+GONE = "The service does not answer. The page keeps trying"
 
 
 @pytest.fixture
@@ -49,11 +49,11 @@ def test_an_upload_that_was_cut_can_be_sent_again(visit: Opener, own: Stack) -> 
         page.set_input_files(ARCHIVE, zip_file())
         own.kill("api")
         page.get_by_role("button", name="Start", exact=True).click()
-        expect(page.get_by_role("alert")).to_contain_text("The service does not answer right now.")
+        expect(page.get_by_role("alert")).to_contain_text("The service does not answer.")
         own.start("api")
         own.wait_until_ready()
         expect(page.get_by_text(GONE)).to_have_count(0, timeout=15_000)
-        page.get_by_role("button", name="Send it again").click()
+        page.get_by_role("button", name="Send again").click()
         page.wait_for_url(re.compile("#/jobs/"))
     assert len(own.http.get("/jobs").json()["jobs"]) == 1
 

@@ -32,7 +32,7 @@ def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stack, s
 
 
 def enter(page: Page, key: str) -> None:
-    dialog = page.get_by_role("dialog", name="This service asks for a key")
+    dialog = page.get_by_role("dialog", name="This service needs a key")
     dialog.get_by_label("API key").fill(key)
     dialog.get_by_role("button", name="Use this key").click()
 

@@ -154,7 +154,7 @@ def test_orbit_by_mouse_and_back(visit: Opener, done: str) -> None:
         page.mouse.move(box["x"] + 450, box["y"] + 230, steps=4)
         page.mouse.up()
         assert np.abs(stage(page) - before).mean() > 0.01
-        page.get_by_role("button", name="Reset the view").click()
+        page.get_by_role("button", name="Reset view").click()
         assert np.abs(stage(page) - before).mean() < 0.002
 
 

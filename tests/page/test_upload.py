@@ -135,7 +135,7 @@ def test_what_a_newer_service_knows_shows_up_by_itself(visit: Opener) -> None:
         (text,) = parse_qs(urlsplit(sending.value.url).query)["options"]
         options = json.loads(text)
         assert options["settings"] == {"mesh.sparkle": 0.75} and options["urgency"] == "high"
-        expect(page.get_by_role("alert")).to_contain_text("One of the options does not fit.")  # by this service
+        expect(page.get_by_role("alert")).to_contain_text("One of the options is invalid.")  # by this service
 
 
 def test_a_folder_arrives_as_it_is(visit: Opener, service: Stack, capture_folder: Path) -> None:
@@ -176,7 +176,7 @@ def test_what_is_no_archive_is_refused_in_words(visit: Opener, service: Stack) -
     with visit() as page:
         page.set_input_files(ARCHIVE, {"name": "holiday.zip", "mimeType": "application/zip", "buffer": b"x" * 1000})
         page.get_by_role("button", name="Start", exact=True).click()
-        alert = page.get_by_role("alert").filter(has_text="This is neither an archive")
+        alert = page.get_by_role("alert").filter(has_text="This file is neither an archive")
         expect(alert).to_be_visible()
         alert.get_by_role("button", name="Dismiss").click()
         expect(alert).to_have_count(0)
@@ -188,7 +188,9 @@ def test_what_is_too_large_is_not_sent(visit: Opener) -> None:
         page.route("**/options", lambda route: route.fulfill(json={**route.fetch().json(), "max_upload": 1000}))
         page.reload()
         page.set_input_files(ARCHIVE, zip_file(size=5000) | {"buffer": b"PK" + bytes(5000)})
-        expect(page.get_by_role("alert")).to_contain_text("This has 5.0 kB; the service takes at most 1.0 kB.")
+        expect(page.get_by_role("alert")).to_contain_text(
+            "This capture has 5.0 kB, but the service accepts at most 1.0 kB."
+        )
         expect(page.get_by_role("button", name="Start", exact=True)).to_have_count(0)
 
 
@@ -205,6 +207,6 @@ def test_progress_is_shown_and_an_upload_can_be_cancelled(visit: Opener, service
         expect(bar).to_be_visible()
         until(page, "document.querySelector('#upload progress').value > 0.1")
         assert 0.1 < float(bar.evaluate("bar => bar.value")) < 1
-        page.get_by_role("button", name="Cancel the upload").click()
+        page.get_by_role("button", name="Cancel upload").click()
         expect(bar).to_have_count(0)
     assert len(service.http.get("/jobs?limit=200").json()["jobs"]) == before

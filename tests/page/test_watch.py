@@ -45,22 +45,22 @@ def test_from_the_queue_to_the_results_without_a_reload(
         puppet.tell(step="load", text="reading", progress=0.01)
         expect(page.locator("main").get_by_text("Reading the photographs")).to_be_visible()
         puppet.tell(step="start", text="", progress=0.03, step_progress=0.4, step_eta_seconds=24.0)
-        expect(page.locator("main").get_by_text("Finding where to start: 40 %")).to_be_visible()
+        expect(page.locator("main").get_by_text("Building the first surface: 40 %")).to_be_visible()
         expect(page.locator("main").get_by_text("3 % · this step: about 30 s left")).to_be_visible()
         # It runs down by itself while there is no news.
         expect(page.locator("main").get_by_text("3 % · this step: about 20 s left")).to_be_visible(timeout=15_000)
         puppet.tell(step_progress=None, step_eta_seconds=None)
         puppet.train(0.25, "warmup_surfels", {"render": picture("red")})
-        expect(page.locator("main").get_by_text("Training: flat Gaussians, warm-up")).to_be_visible()
+        expect(page.locator("main").get_by_text("Training: surfels, warm-up")).to_be_visible()
         expect(page.locator("main").get_by_text("25 % · about 2 min left")).to_be_visible()
-        shown = page.get_by_alt_text("Render of a held-back view, so far")
+        shown = page.get_by_alt_text("Render of a held-out view, so far")
         expect(shown).to_be_visible()
         assert shown.evaluate(SHOWN_COLOR) == [255, 0, 0]
         puppet.train(0.75, "mutual", {"render": picture("blue")})
         expect(page.locator("main").get_by_text("Training: both branches teach each other")).to_be_visible()
         loss = page.get_by_role("img", name="Loss: from 0.2500 to 0.1500 in 1 min 15 s")
         expect(loss).to_be_visible()
-        expect(page.get_by_role("img", name="PSNR on held-back photographs: from 20.5 dB to 25.5 dB")).to_be_visible()
+        expect(page.get_by_role("img", name="PSNR on held-out photographs: from 20.5 dB to 25.5 dB")).to_be_visible()
         until(page, f"({SHOWN_COLOR})(document.querySelector('.previews img'))[2] === 255")
         puppet.succeed(results, {"psnr_test": 31.42})
         expect(page.locator("main").get_by_text("31.4 dB")).to_be_visible()
@@ -90,9 +90,9 @@ def test_a_failure_is_told_in_words_with_its_cure(visit: Opener, service: Stack)
     job = submitted(service, "hungry")
     Puppet(service, job).fail("out_of_memory", "the job used 9000 MiB; use smaller images", retryable=True)
     with visit(f"/#/jobs/{job}") as page:
-        expect(page.locator("main").get_by_text("The job needed more memory than there is.")).to_be_visible()
+        expect(page.locator("main").get_by_text("The job needed more memory than it may use.")).to_be_visible()
         expect(page.locator("main").get_by_text("the job used 9000 MiB; use smaller images")).to_be_visible()
-        expect(page.locator("main").get_by_text("most memory used: 3.0 GB")).to_be_visible()
+        expect(page.locator("main").get_by_text("peak memory: 3.0 GB")).to_be_visible()
         expect(page.get_by_role("button", name="Retry")).to_be_visible()
 
 
@@ -100,7 +100,7 @@ def test_what_would_fail_again_offers_no_retry(visit: Opener, service: Stack) ->
     job = submitted(service, "broken")
     Puppet(service, job).fail("bad_scene", "no cameras in it", retryable=False)
     with visit(f"/#/jobs/{job}") as page:
-        expect(page.locator("main").get_by_text("The capture can't be used as it is.")).to_be_visible()
+        expect(page.locator("main").get_by_text("MGSR cannot use this capture.")).to_be_visible()
         expect(page.get_by_role("button", name="Retry")).to_have_count(0)
 
 
@@ -109,7 +109,7 @@ def test_delete_asks_first(visit: Opener, service: Stack) -> None:
     Puppet(service, job).fail("bad_scene", "no cameras in it", retryable=False)
     with visit(f"/#/jobs/{job}") as page:
         page.get_by_role("button", name="Delete").click()
-        page.get_by_role("dialog").get_by_role("button", name="Keep it").click()
+        page.get_by_role("dialog").get_by_role("button", name="Keep").click()
         assert service.http.get(f"/jobs/{job}").status_code == 200
         page.get_by_role("button", name="Delete").click()
         page.get_by_role("dialog").get_by_role("button", name="Delete").click()
@@ -132,4 +132,4 @@ def test_the_list_follows_the_jobs(visit: Opener, service: Stack) -> None:
 
 def test_an_unknown_job_is_told_so(visit: Opener) -> None:
     with visit(f"/#/jobs/{'0' * 32}") as page:
-        expect(page.get_by_role("alert")).to_contain_text("There is no such job.")
+        expect(page.get_by_role("alert")).to_contain_text("This job does not exist.")

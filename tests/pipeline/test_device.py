@@ -14,7 +14,7 @@ def test_the_processor_is_always_there(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     assert pick_device("cpu") is Device.CPU
     assert pick_device("auto") is Device.CPU
-    with pytest.raises(ConfigError, match="device cuda: this torch"):
+    with pytest.raises(ConfigError, match="device cuda: the installed torch"):
         pick_device("cuda")
     with pytest.raises(ConfigError, match="auto, cpu, cuda"):
         pick_device("tpu")

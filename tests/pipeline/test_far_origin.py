@@ -35,7 +35,7 @@ from tests.mesh.shapes import looking_at_origin
 
 AWAY = np.array([512345.25, 4501234.5, 431.25])
 ORIGIN = "512345 4501235 431"
-NOTE = f"the frame's origin lies 4,500,000 units away: splat files are written about {ORIGIN}, which they name"
+NOTE = f"the frame's origin lies 4,500,000 units away, so splat files have positions relative to {ORIGIN}"
 
 
 @pytest.fixture(scope="module")

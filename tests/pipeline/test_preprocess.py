@@ -29,5 +29,5 @@ def test_exposures_are_dealt_with_later() -> None:
 
 
 def test_others_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"data\.max_side: expected 800, with which cup was read, got 400"):
+    with pytest.raises(ConfigError, match=r"data\.max_side: cup is loaded with 800, got 400"):
         as_read(SCENE, make_config(overrides={"max_side": 400}))

@@ -14,8 +14,8 @@ from tests.report.samples import bare_report, sample_report
 
 def test_every_stage_says_why_it_ended() -> None:
     told = {each.what: each for each in tell_decisions(sample_report())}
-    assert "stopped falling" in told["End of stage “2D alone”"].why
-    assert "all planned" in told["End of stage “both”"].why
+    assert "stopped falling" in told["End of stage “2D branch”"].why
+    assert "All planned" in told["End of stage “both”"].why
     assert told["Starting points"].choice.startswith("9,000 inside the visual hull, where")
     assert told["Masks"].choice == "used" and told["Holes"].choice == "left open"
 
@@ -25,14 +25,14 @@ def test_the_light_is_told() -> None:
     told = tell_decisions(replace(sample, light="flash"))
     assert [each.choice for each in told if each.what == "Light model of the mesh"] == ["a flash on the camera"]
     told = tell_decisions(replace(sample, light="unknown", settings={"mesh": {"max_light_residual": None}}))
-    assert [each.choice for each in told if each.what == "Light model of the mesh"] == ["not looked at"]
+    assert [each.choice for each in told if each.what == "Light model of the mesh"] == ["not estimated"]
 
 
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_start_that_was_kept_is_told(kept: bool) -> None:
     told = tell_decisions(replace(bare_report(), light="environment", start_kept=kept))
     assert [each.choice for each in told if each.what == "Surface that was refined"] == (
-        ["the one that training began on"] if kept else []
+        ["the first surface, on which training started"] if kept else []
     )
 
 
@@ -48,9 +48,9 @@ def test_a_flash_is_told_with_its_place() -> None:
 @pytest.mark.parametrize(
     ("light", "masked", "moved", "choice", "why"),
     [
-        ("environment", True, True, "used", "stands still"),
+        ("environment", True, True, "used", "does not move"),
         ("flash", True, True, "used", "flash"),
-        ("unknown", False, False, "not used", "masks"),
+        ("unknown", False, False, "not used", "needs silhouettes, from masks"),
         ("unknown", True, False, "not used", "photometric_reach"),
     ],
 )
@@ -59,7 +59,7 @@ def test_photometric_refinement_has_its_reason(light: str, masked: bool, moved: 
     given = replace(present(sample_report().input), masked=masked)
     run = replace(bare_report(), light=light, input=given, mesh_steps=steps)
     told = {each.what: each for each in tell_decisions(run)}
-    decision = told["Photometric refinement of the surface"]
+    decision = told["Photometric refinement"]
     assert decision.choice == choice and why in decision.why
 
 
@@ -70,21 +70,21 @@ def test_the_reflected_light_is_told_with_its_reason() -> None:
         return next(each for each in tell_decisions(run) if each.what == "Reflected light")
 
     tried = told("shared", "auto", {"off": 30.0, "shared": 30.614, "both": 30.5})
-    assert tried.choice == "one environment map that the whole surface reflects"
-    assert "none 30.00 dB; one environment map that the whole surface reflects 30.61 dB" in tried.why
-    assert told("off", "auto", {}).choice == "none" and "not tried" in told("off", "auto", {}).why
-    assert told("own", "own", {}).why == "as asked for"
+    assert tried.choice == "environment maps of the whole surface"
+    assert "none 30.00 dB; environment maps of the whole surface 30.61 dB" in tried.why
+    assert told("off", "auto", {}).choice == "none" and "No candidates" in told("off", "auto", {}).why
+    assert told("own", "own", {}).why == "The settings ask for it."
 
 
 def test_the_colours_harmonics_are_told_where_fewer_were_tried() -> None:
     def told(tried: dict[str, float]) -> list[Decision]:
         reflection = Selection("shared", {"off": 33.13, "shared": 33.78})
         run = replace(bare_report(), method="mgsr", reflection=reflection, sh_degree=Selection(1, tried))
-        return [each for each in tell_decisions(run) if each.what.startswith("Harmonics")]
+        return [each for each in tell_decisions(run) if each.what.startswith("SH degree")]
 
     (lowered,) = told({"1": 34.44, "0": 33.738})
-    assert lowered.choice == "up to degree 1"
-    assert "degree 1 34.44 dB; degree 0 33.74 dB; with all of them 33.78 dB" in lowered.why
+    assert lowered.choice == "1"
+    assert "degree 1 34.44 dB; degree 0 33.74 dB; the original degree 33.78 dB" in lowered.why
     assert told({}) == []
 
 
@@ -92,7 +92,7 @@ def test_pixels_that_no_photograph_shows_are_told() -> None:
     sample = sample_report()
     given = replace(present(sample.input), shown=0.8174)
     told = {each.what: each for each in tell_decisions(replace(sample, input=given))}
-    assert told["Pixels"].choice == "photographs show 82% of them"
+    assert told["Pixels"].choice == "82% are valid"
     assert "Pixels" not in {each.what for each in tell_decisions(sample)}
 
 
@@ -100,8 +100,8 @@ def test_dropped_gaussians_are_counted() -> None:
     settings = {"train": {"gaussians": {"densify": {"prune_contribution": 0.06}}}}
     data = replace(sample_report(), settings=settings)
     data.iterations["warmup_gaussians"] = StageRun(2000, "converged", dropped=8123)
-    told = next(each for each in tell_decisions(data) if each.what == "Gaussians that give the renders")
-    assert told.choice == "21,877" and "8,123 went" in told.why and "6%" in told.why
+    told = next(each for each in tell_decisions(data) if each.what == "Gaussians of the 3D branch")
+    assert told.choice == "21,877" and "8,123 were pruned" in told.why and "6%" in told.why
 
 
 def test_a_runs_own_decisions_stay() -> None:
@@ -127,10 +127,10 @@ def test_a_time_budget_is_told() -> None:
         spent={"load": 1.0, "train": 64.0, "mesh": 10.0, "evaluate": 6.0},
     )
     told = tell_decisions(replace(sample_report(), time_budget=budget))[1]
-    assert told.what == "Time budget of 120 s" and told.choice.endswith("photographs at 0.5 of their size")
-    assert "planned train 60 s" in told.why and "came to train 64 s" in told.why and "117 s in all" in told.why
+    assert told.what == "Time budget of 120 s" and told.choice.endswith("photographs reduced to 0.5 of their size")
+    assert "The plan was train 60 s" in told.why and "took train 64 s" in told.why and "117 s in all" in told.why
     short = replace(sample_report(), time_budget=replace(budget, too_small=True))
-    assert "less than the least plan needs" in tell_decisions(short)[1].why
+    assert "shorter than the shortest plan" in tell_decisions(short)[1].why
 
 
 def test_a_plain_backdrop_is_told_unless_the_settings_say_what_lies_behind() -> None:
@@ -142,6 +142,6 @@ def test_a_plain_backdrop_is_told_unless_the_settings_say_what_lies_behind() -> 
         run = replace(sample, input=given, settings={"train": {"background": background}})
         return {each.what: each for each in tell_decisions(run)}
 
-    assert told("auto")["Backdrop"].choice == "plain, #0080ff" and "learned" in told("auto")["Outlines"].choice
-    assert not {"Backdrop", "Outlines"} & set(told("white"))
-    assert "Outlines" not in told("auto", "stereo"), "those that come to nothing"
+    assert told("auto")["Backdrop"].choice == "plain, #0080ff" and "learned" in told("auto")["Silhouettes"].choice
+    assert not {"Backdrop", "Silhouettes"} & set(told("white"))
+    assert "Silhouettes" not in told("auto", "stereo"), "those that come to nothing"

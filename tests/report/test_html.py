@@ -107,7 +107,7 @@ def test_a_run_without_split_truth_views_or_mesh_still_has_a_page(tmp_path: Path
     write_report_html(tmp_path / "report.html", data, ReportPictures())
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     read(page)
-    assert "taken apart" not in page and "How it got there" not in page and "<svg" not in page
+    assert "The light split" not in page and "<h2>Training</h2>" not in page and "<svg" not in page
 
 
 def test_a_view_of_one_branch_shows_what_there_is() -> None:

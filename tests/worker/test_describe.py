@@ -71,5 +71,5 @@ def test_numbers_out_of_range(text: str, expected: str) -> None:
 
 def test_a_name_is_found_by_its_end() -> None:
     assert find_setting("surfels.densify.every") == "train.surfels.densify.every"
-    with pytest.raises(ValueError, match=r"ambiguous: say one of .*train\.surfels\.densify\.every"):
+    with pytest.raises(ValueError, match=r"ambiguous: use one of .*train\.surfels\.densify\.every"):
         find_setting("densify.every")

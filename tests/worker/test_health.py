@@ -41,4 +41,4 @@ def test_one_that_has_fallen_silent_is_not_healthy(stack: Stack, monkeypatch: py
 
 def test_a_queue_that_is_away_is_not_the_workers_fault() -> None:
     alive, line = worker_health(Redis(port=free_port()))
-    assert alive and "no answer from Redis" in line
+    assert alive and "Redis does not answer" in line

@@ -48,7 +48,7 @@ def recognises(root: Path) -> str | None:
 def read(folder: SceneFolder) -> Capture:
     """Read every photograph with a pose of the block that has most, and its tie points."""
     file = recognises(folder.root)
-    assert file is not None, "read() is for folders that were recognised"
+    assert file is not None, "read() accepts recognised folders only"
     path = folder.root / file
     with_points = path.stat().st_size <= _TIE_POINTS_UP_TO
     exchange = _plain(read_xml(path, _LEFT_OUT if with_points else (*_LEFT_OUT, "TiePoint")))
@@ -57,7 +57,7 @@ def read(folder: SceneFolder) -> Capture:
     capture = Capture.of(
         found, lambda i, path: _photo(path, entries[i], exchange, block, f"{file}, {str(entries[i].path)[:200]}")
     )
-    notes = () if with_points else (f"the tie points of {file} are left out: the file is very large",)
+    notes = () if with_points else (f"the tie points of {file} are ignored because the file is very large",)
     return replace(capture, points=_points(block), notes=(*capture.notes, *notes), least_kept=0.25)
 
 
@@ -96,7 +96,7 @@ def _block(exchange: Element, file: str) -> tuple[Element, list[_BlockPhoto]]:
     blocks = [(block, _entries(block, base)) for block in exchange.iterfind("Block")]
     block, entries = max(blocks, key=lambda item: len(item[1]), default=(exchange, []))
     if not entries:
-        raise SceneError(f"{file}: no photographs in it; align them and export the block again")
+        raise SceneError(f"{file}: it lists no photographs; align them and export the block again")
     return block, entries
 
 
@@ -120,10 +120,10 @@ def _text(element: Element | None, path: str) -> str:
 
 def _photo(image: Path, entry: _BlockPhoto, exchange: Element, block: Element, source: str) -> Photo:
     if entry.left_behind:
-        raise SceneError(f"{source}: it is not in the block's main component, so it was not aligned")
+        raise SceneError(f"{source}: the photograph is outside the block's main component, so it is not aligned")
     pose = entry.photo.find("Pose")
     if pose is None or pose.find("Rotation") is None or pose.find("Center") is None:
-        raise SceneError(f"{source}: no pose with Rotation and Center: it was not aligned")
+        raise SceneError(f"{source}: it has no pose with Rotation and Center, so it is not aligned")
     _check_system(_text(entry.group, "SRSId") or _text(block, "SRSId"), exchange, source)
     K, lens, size = _camera(entry.group, source)
     rotation = _axes(entry.group, source).T @ _rotation(pose, source)
@@ -138,8 +138,8 @@ def _check_system(system: str, exchange: Element, source: str) -> None:
         is_geographic = _GEOGRAPHIC.search(definition) and not _GEOCENTRIC.search(definition)
         if system and _text(entry, "Id") == system and is_geographic:
             raise SceneError(
-                f"{source}: its position is given as longitude and latitude ({definition[:60]}); choose a projected or "
-                "local coordinate system (UTM, local east-north-up) and export it again"
+                f"{source}: its position is in longitude and latitude ({definition[:60]}); export it in a projected "
+                "or local coordinate system (UTM, local east-north-up)"
             )
 
 
@@ -154,9 +154,7 @@ def _rotation(pose: Element, source: str) -> np.ndarray:
         values = [[_number(rotation, f"M_{row}{column}", source) for column in range(3)] for row in range(3)]
         return np.array(values)
     if rotation.find("Omega") is None:
-        raise SceneError(
-            f"{source}: its rotation is neither a matrix nor Omega, Phi and Kappa; choose one of them in the export"
-        )
+        raise SceneError(f"{source}: its rotation is neither a matrix nor Omega, Phi and Kappa; export one of these")
     omega, phi, kappa = (math.radians(_number(rotation, name, source)) for name in ("Omega", "Phi", "Kappa"))
     about_x = [[1, 0, 0], [0, math.cos(omega), math.sin(omega)], [0, -math.sin(omega), math.cos(omega)]]
     about_y = [[math.cos(phi), 0, -math.sin(phi)], [0, 1, 0], [math.sin(phi), 0, math.cos(phi)]]
@@ -173,7 +171,9 @@ def _axes(group: Element, source: str) -> np.ndarray:
     name = _text(group, "CameraOrientation") or "XRightYDown"
     match = _ORIENTATION.fullmatch(name)
     if match is None:
-        raise SceneError(f"{source}: CameraOrientation: expected such as XRightYDown, got {name[:80]!r}; mend the file")
+        raise SceneError(
+            f"{source}: CameraOrientation: expected a value like XRightYDown, got {name[:80]!r}; fix the file"
+        )
     x, y = (*_AXES[match[1]], 0), (*_SECOND_AXES[match[2]], 0)
     return np.array([x, y, np.cross(x, y)], np.float64)
 
@@ -203,7 +203,7 @@ def _perspective(group: Element, side: int, source: str) -> tuple[float, float, 
     focal = _focal_length(group, side, source)
     ratio, skew = _number(group, "AspectRatio", source, 1.0), _number(group, "Skew", source, 0.0)
     if focal == 0:
-        raise SceneError(f"{source}: the focal length is 0; expected a number above 0; export it again")
+        raise SceneError(f"{source}: expected a focal length above 0, got 0; export it again")
     k1, k2, k3, p1, p2 = (_number(group, f"Distortion/{name}", source, 0.0) for name in ("K1", "K2", "K3", "P1", "P2"))
     return focal, focal * ratio, Lens(k1, k2, p2, p1, higher=(k3,), skew=skew / focal)
 
@@ -223,7 +223,7 @@ def _pixel(group: Element, side: int, source: str) -> float:
     given = group.find("PixelSize") is not None
     size = _number(group, "PixelSize", source) if given else _number(group, "SensorSize", source) / max(side, 1)
     if size <= 0:
-        raise SceneError(f"{source}: SensorSize or PixelSize is {size:g}; expected millimetres; export it again")
+        raise SceneError(f"{source}: expected SensorSize and PixelSize in millimetres, got {size:g}; export it again")
     return size
 
 
@@ -257,7 +257,7 @@ def _fisheye(group: Element, source: str) -> tuple[float, float, Lens]:
     )
     if any((f01, f10, p0, p2, p4)) or p1 <= 0:
         raise SceneError(
-            f"{source}: fisheyes are read with a diagonal focal matrix and the terms P1 and P3 alone; export "
+            f"{source}: MGSR reads fisheye lenses only with a diagonal focal matrix and the terms P1 and P3; export "
             "undistorted photographs with their block"
         )
     per_radian = 2 / math.pi

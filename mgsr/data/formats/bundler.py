@@ -46,7 +46,7 @@ def recognises(root: Path) -> str | None:
 def read(folder: SceneFolder) -> Capture:
     """Read every camera, with the photograph on its line of the list, and every point."""
     file = recognises(folder.root)
-    assert file is not None, "read() is for folders that were recognised"
+    assert file is not None, "read() accepts recognised folders only"
     bundle = _bundle(folder.root / file)
     listed = _list(folder.root, folder.root / file, len(bundle.cameras))
     places = (".", listed.path.parent.relative_to(folder.root).as_posix(), PurePosixPath(file).parent.as_posix())
@@ -99,8 +99,8 @@ def _without_comments(lines: Iterable[str], name: str) -> Iterator[str]:
             yield line
         elif (version := re.search(r"bundle file\s+(\S+)", line, re.IGNORECASE)) and version[1] not in _VERSIONS:
             raise SceneError(
-                f"{name}: version {version[1][:20]} of bundle files is not read; export {_VERSIONS[-1]}, or another "
-                "format (docs/inputs.md)"
+                f"{name}: MGSR does not read version {version[1][:20]} of bundle files; export {_VERSIONS[-1]} or "
+                "another format (docs/inputs.md)"
             )
 
 
@@ -131,7 +131,7 @@ class _Words:
     def _next_line(self) -> None:
         line = next(self._lines, None)
         if line is None:
-            raise ValueError("the file ends early")
+            raise ValueError("the file is truncated")
         self._words, self._at = line.split(), 0
 
 
@@ -157,16 +157,16 @@ def _list(root: Path, bundle: Path, cameras: int) -> _List:
             names = _names(path)
             if len(names) != cameras:
                 raise SceneError(
-                    f"{path.name}: names {len(names)} photographs for the {cameras} cameras of {bundle.name}; put the "
-                    "list there that belongs to it"
+                    f"{path.name}: the list names {len(names)} photographs, but {bundle.name} has {cameras} cameras; "
+                    "use the list that belongs to it"
                 )
             return _List(path, names)
     others = [path for folder in folders for kind in ("*.txt", "*.lst") for path in sorted(folder.glob(kind))]
     fitting = [_List(path, names) for path in others if len(names := _names(path)) == cameras and _are_images(names)]
     if len(fitting) != 1:
         raise SceneError(
-            f"{bundle.name}: {len(fitting)} lists of its {cameras} photographs are there, expected one; put "
-            f"{_usual_lists(bundle)[0]} beside it, with a photograph's name on each line, in the order of the cameras"
+            f"{bundle.name}: expected one list of its {cameras} photographs, found {len(fitting)}; add "
+            f"{_usual_lists(bundle)[0]} beside it, with one photograph's name per line, in the order of the cameras"
         )
     return fitting[0]
 
@@ -205,7 +205,7 @@ def _photo(image: Path, camera: list[str], source: str) -> Photo:
     values = numbers(camera, _PER_CAMERA, "the camera", source)
     f, k1, k2 = values[:3]
     if f == 0:
-        raise SceneError(f"{source}: the program did not place it (its focal length is 0)")
+        raise SceneError(f"{source}: it has no pose (its focal length is 0)")
     size = image_size(image, source)
     lens = Lens(k1, k2)
     opencv = np.diag([1.0, -1, -1])

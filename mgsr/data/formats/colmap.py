@@ -187,14 +187,14 @@ def _parsed(parsers: Mapping[str, Callable[[Path], _Content]], path: Path, where
     try:
         return parsers[path.suffix](path)
     except FileNotFoundError as error:
-        raise SceneError(f"{where}: {path.name} is missing from the COLMAP model; copy it there") from error
+        raise SceneError(f"{where}: the COLMAP model lacks {path.name}; copy the file there") from error
     except (struct.error, OSError, ValueError, IndexError, KeyError, OverflowError) as error:
         raise SceneError(f"{where}/{path.name}: damaged COLMAP model: {in_short(error)}; export it again") from error
 
 
 def _other_models(models: Sequence[_ColmapModel], used: _ColmapModel) -> tuple[str, ...]:
     others = ", ".join(f"{model.where} has {len(model.images)}" for model in models if model is not used)
-    return (f"{used.where} is used, with {len(used.images)} photographs; {others}",) if others else ()
+    return (f"the model {used.where} with {len(used.images)} photographs is used; {others}",) if others else ()
 
 
 def _left_out(found: FoundPhotos, model: _ColmapModel) -> tuple[str, ...]:
@@ -203,7 +203,7 @@ def _left_out(found: FoundPhotos, model: _ColmapModel) -> tuple[str, ...]:
     there = {path for folder in folders for path in folder.iterdir() if is_photo(path)}
     registered = len(model.images)
     total = max(registered, registered + len(there - set(found.files)))
-    cure = "register more, or remove the others from the folder"
+    cure = "register more photographs, or remove the others from the folder"
     return check_share(registered, total, _LEAST_REGISTERED, f"are registered in {model.where}", cure)
 
 
@@ -227,11 +227,10 @@ def to_pinhole(camera: ColmapCamera, source: str) -> tuple[np.ndarray, AnyLens |
         raise SceneError(f"{source}: camera model {camera.model} is not supported: {PANORAMA_CURE}")
     if camera.model not in dict(_MODELS.values()):
         raise SceneError(
-            f"{source}: camera model {camera.model} is not supported; "
-            "run `colmap image_undistorter` and give its output"
+            f"{source}: camera model {camera.model} is not supported; run `colmap image_undistorter` and use its output"
         )
     if not np.isfinite(camera.params).all():
-        raise SceneError(f"{source}: the camera has NaN or infinite numbers")
+        raise SceneError(f"{source}: the camera has NaN or infinite numbers; export it again")
     if camera.model in _ONE_FOCAL:
         (f, cx, cy), terms = camera.params[:3], camera.params[3:]
         K = intrinsics(f, f, cx, cy)
@@ -272,7 +271,7 @@ def _pose(image: _ColmapImage, source: str) -> np.ndarray:
     """
     norm = np.linalg.norm(image.quat)
     if not np.isfinite(norm) or norm == 0:
-        raise SceneError(f"{source}: the pose's quaternion is {list(image.quat)}; remove this view or mend its pose")
+        raise SceneError(f"{source}: the pose has the invalid quaternion {list(image.quat)}; fix it or remove the view")
     w, x, y, z = np.array(image.quat) / norm
     pose = np.eye(4)
     pose[:3, :3] = [
@@ -346,9 +345,10 @@ class _ByteReader:
         return values
 
     def skip(self, count: int) -> None:
+        """Move on by `count` bytes. Raises ValueError at the end of the file."""
         self.at += count
         if self.at > len(self.data):
-            raise ValueError("the file ends early")
+            raise ValueError("the file is truncated")
 
     def take_text(self) -> str:
         end = self.data.index(b"\0", self.at)

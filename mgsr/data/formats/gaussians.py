@@ -55,9 +55,9 @@ def _without_photographs(root: Path, names: list[str]) -> str:
     source = re.search(rb"source_path='([^']{1,200})'", head_of(root / "cfg_args"))
     trained_on = f" (it was trained on {source[1].decode(errors='replace')})" if source else ""
     return (
-        f"{_FILE}: has the cameras of 3D Gaussian Splatting, but its {len(names)} photographs are not in this folder "
-        f"({names[0][:80]}...){trained_on}; put them into images/ beside {_FILE}, or give the folder that it was "
-        "trained on"
+        f"{_FILE}: this file has the cameras of 3D Gaussian Splatting, but its {len(names)} photographs are not in "
+        f"this folder ({names[0][:80]}...){trained_on}; copy them to images/ beside {_FILE}, or use the folder that "
+        "it was trained on"
     )
 
 
@@ -84,7 +84,7 @@ def _points(root: Path) -> tuple[PointCloud | None, tuple[str, ...]]:
     try:
         return read_points(root / _POINTS), ()
     except SceneError as error:
-        return None, (f"the points are left out: {error}",)
+        return None, (f"the points are ignored: {error}",)
 
 
 FORMAT = Format("gaussians", f"{_FILE} of 3D Gaussian Splatting, with its photographs", recognises, read, rank=130)

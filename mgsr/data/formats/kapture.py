@@ -35,9 +35,12 @@ def recognises(root: Path) -> str | None:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every record of a camera that has a pose, its own or through its rig, and the points."""
+    """Read every record of a camera that has a pose, its own or through its rig, and the points.
+
+    Raises SceneError if the file of the poses is missing.
+    """
     if not (folder.root / _TRAJECTORIES).is_file():
-        raise SceneError(f"{_TRAJECTORIES} is missing in {folder.root.name}: it has the poses; put it there")
+        raise SceneError(f"{folder.root.name} lacks {_TRAJECTORIES}, the file of the poses; add it")
     records = list(_rows(folder.root, _RECORDS, 3))
     dataset = _dataset(folder.root)
     found = folder.find_photos(_RECORDS, [row[2] for row in records], (_DATA, "."))
@@ -86,12 +89,12 @@ def _rows(root: Path, name: str, least: int) -> Iterator[list[str]]:
                     row = [field.strip() for field in line.split(",")]
                     if len(row) < least:
                         raise SceneError(
-                            f"{name}, line {number}: expected at least {least} values with commas between them, got "
-                            f"{line.strip()[:80]!r}; mend the file"
+                            f"{name}, line {number}: expected at least {least} values separated by commas, got "
+                            f"{line.strip()[:80]!r}; fix the file"
                         )
                     yield row
     except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{name}: can't be read as text: {in_short(error)}; export it again") from error
+        raise SceneError(f"{name}: this file is not text: {in_short(error)}; export it again") from error
 
 
 def _photo(image: Path, record: list[str], dataset: _Dataset) -> Photo:
@@ -100,9 +103,7 @@ def _photo(image: Path, record: list[str], dataset: _Dataset) -> Photo:
     K, lens, size = _camera(dataset.sensors.get(device), device, source)
     pose = _pose(_time(time), device, dataset, source, _DEEPEST_RIG)
     if pose is None:
-        raise SceneError(
-            f"{source}: no pose of {device[:80]} at time {time[:80]} in {_TRAJECTORIES}, nor of a rig of it"
-        )
+        raise SceneError(f"{source}: {_TRAJECTORIES} has no pose of {device[:80]} or its rig at time {time[:80]}")
     return Photo(image, K, size, pose, source, lens=lens)
 
 
@@ -113,14 +114,14 @@ def _camera(sensor: list[str] | None, device: str, source: str) -> tuple[np.ndar
     """
     if sensor is None or len(sensor) < 5 or sensor[1] != "camera" or sensor[2] == "UNKNOWN_CAMERA":
         raise SceneError(
-            f"{source}: {_SENSORS} has no camera {device[:80]} with a model and its parameters; calibrate it (such as "
-            "with COLMAP) and export the dataset again"
+            f"{source}: {_SENSORS} has no camera {device[:80]} with a model and its parameters; calibrate it, for "
+            "example with COLMAP, and export the dataset again"
         )
     model, values = sensor[2][:40], numbers(sensor[3:], len(sensor[3:]), f"parameters of {device[:80]}", source)
     try:
         camera = checked_camera(model, int(values[0]), int(values[1]), tuple(values[2:].tolist()))
     except ValueError as error:
-        raise SceneError(f"{source}: {_SENSORS}: {in_short(error)}; mend the file") from error
+        raise SceneError(f"{source}: {_SENSORS}: {in_short(error)}; fix the file") from error
     K, lens = to_pinhole(camera, source)
     return K, lens, (camera.width, camera.height)
 

@@ -42,7 +42,7 @@ def _rows(path: Path) -> np.ndarray:
     try:
         rows = _load(path)
     except DAMAGE as error:
-        raise SceneError(f"{_FILE}: damaged: {in_short(error)}; copy it again") from error
+        raise SceneError(f"{_FILE}: the file is damaged: {in_short(error)}; copy it again") from error
     if rows.ndim != 2 or rows.shape[1] != _COLUMNS or not len(rows):
         raise SceneError(
             f"{_FILE}: expected an array of {_COLUMNS} numbers a camera, got shape {list(rows.shape)}; write it with "
@@ -62,7 +62,7 @@ def _load(path: Path) -> np.ndarray:
         shape, _, dtype = header(file)
         size = dtype.itemsize * int(np.prod([float(side) for side in shape]))
         if dtype.kind not in "iuf" or not 0 <= size <= min(LARGEST_CAPTURE, path.stat().st_size):
-            raise ValueError(f"an array of {dtype} of shape {shape}")
+            raise ValueError(f"expected an array of numbers, got {dtype} of shape {shape}")
         file.seek(0)
         values: np.ndarray = np.load(file, allow_pickle=False).astype(np.float64)
         return values
@@ -100,12 +100,12 @@ def _places(folder: SceneFolder) -> list[Path]:
 def _mismatch(folder: SceneFolder, count: int, places: list[Path]) -> str:
     if not places:
         videos = any(is_video_name(path) for path in folder.root.iterdir())
-        cure = "take one frame of each video, into images/" if videos else "put them into images/"
-        return f"{_FILE}: cameras of {count} photographs, but there are none; {cure}, in the order of the cameras"
+        cure = "extract one frame of each video to images/" if videos else "copy them to images/"
+        return f"{_FILE}: it has {count} cameras, but there are no photographs; {cure}, in the order of the cameras"
     number = len(photographs_in(places[0]))
     return (
-        f"{_FILE}: cameras of {count} photographs, but {number} in {folder.shown(places[0])}; they go by the order of "
-        f"their names: leave those that have cameras, or list their names in {_REGISTERED}"
+        f"{_FILE}: it has {count} cameras, but {folder.shown(places[0])} has {number} photographs; cameras follow the "
+        f"order of the names, so keep only photographs with a camera, or list their names in {_REGISTERED}"
     )
 
 
@@ -114,7 +114,7 @@ def _photo(image: Path, row: np.ndarray, source: str) -> Photo:
     height, width, focal = pose[:, 4]
     if not (1 <= height < 1e6 and 1 <= width < 1e6):
         raise SceneError(
-            f"{source}: an image of {width:g}x{height:g} pixels; expected its height, width and focal length"
+            f"{source}: expected height, width and focal length of the image, got {width:g}x{height:g} pixels"
         )
     down, right, backwards = pose[:, :3].T
     world_from_cam = rigid(np.stack([right, down, -backwards], axis=1), pose[:, 3])

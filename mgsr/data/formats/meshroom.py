@@ -40,7 +40,7 @@ _TERMS = {"none": 0, "radialk1": 1, "radialk3": 3, "radialk3pt": 3, "brown": 5, 
 _BY_TYPE = {"pinhole": "none", "radial1": "radialk1", "radial3": "radialk3"} | {
     name: name for name in ("brown", "fisheye4", "fisheye1")
 }
-_UNDISTORT = "add a node ExportImages (or PrepareDenseScene) and give its images with their .sfm"
+_UNDISTORT = "add a node ExportImages or PrepareDenseScene, and use its images with their .sfm file"
 
 
 def recognises(root: Path) -> str | None:
@@ -53,7 +53,7 @@ def recognises(root: Path) -> str | None:
 def read(folder: SceneFolder) -> Capture:
     """Read every view that has a pose, and every landmark."""
     file = recognises(folder.root)
-    assert file is not None, "read() is for folders that were recognised"
+    assert file is not None, "read() accepts recognised folders only"
     scene = _scene(read_json(folder.root / file), file)
     found = folder.find_photos(file, [view.get("path") for view in scene.views])
     capture = Capture.of(
@@ -116,7 +116,9 @@ def _version(value: Any, file: str) -> tuple[int, ...]:
 def _photo(image: Path, view: dict[str, Any], scene: _MeshroomScene, source: str) -> Photo:
     camera = scene.intrinsics.get(str(view.get("intrinsicId")))
     if camera is None:
-        raise SceneError(f"{source}: its intrinsics {str(view.get('intrinsicId'))[:80]!r} are not in the file")
+        raise SceneError(
+            f"{source}: the file lacks its intrinsics {str(view.get('intrinsicId'))[:80]!r}; export it again"
+        )
     pose = _pose(view, scene, source)
     K, lens, size = _camera(camera, scene.version, source)
     return Photo(image, K, size, pose, source, lens=None if lens is None or lens.flat else lens)
@@ -129,7 +131,7 @@ def _pose(view: dict[str, Any], scene: _MeshroomScene, source: str) -> np.ndarra
     """
     entry = scene.poses.get(str(view.get("poseId")))
     if entry is None:
-        raise SceneError(f"{source}: no pose: it was not placed")
+        raise SceneError(f"{source}: it has no pose")
     pose = entry.get("pose")
     rig_from_world = _rigid(pose.get("transform") if isinstance(pose, dict) else None, source)
     if "rigId" not in view or str(view.get("isPoseIndependant", "true")).lower() in ("true", "1"):
@@ -143,7 +145,9 @@ def _place_in_rig(view: dict[str, Any], scene: _MeshroomScene, source: str) -> n
     places = _rows(scene.rigs.get(str(view["rigId"]), {}), "subPoses", source)
     index = int(numbers([view.get("subPoseId")], 1, "subPoseId", source)[0])
     if not 0 <= index < len(places):
-        raise SceneError(f"{source}: its place {index} in rig {str(view['rigId'])[:80]} is not in the file")
+        raise SceneError(
+            f"{source}: the file lacks its place {index} in rig {str(view['rigId'])[:80]}; export it again"
+        )
     return _rigid(places[index].get("pose"), source)
 
 
@@ -184,7 +188,7 @@ def _focal_lengths(camera: dict[str, Any], version: tuple[int, ...], width: floa
     ratio = _one(camera, "pixelRatio", source) if "pixelRatio" in camera else 1.0
     sensor = _one(camera, "sensorWidth", source) if "sensorWidth" in camera else _SENSOR_WIDTH
     if ratio <= 0 or sensor <= 0:
-        raise SceneError(f"{source}: pixelRatio {ratio:g}, sensorWidth {sensor:g}; expected numbers above 0")
+        raise SceneError(f"{source}: expected pixelRatio and sensorWidth above 0, got {ratio:g} and {sensor:g}")
     focal = _one(camera, "focalLength", source) / sensor * width
     if version >= _FOCAL_OF_Y:
         return focal / ratio, focal
@@ -200,7 +204,7 @@ def _lens(camera: dict[str, Any], source: str) -> tuple[AnyLens | None, float]:
     kind = _kind(camera, source)
     undone = camera.get("undistortionParams") or []
     if not isinstance(undone, list) or numbers(undone, len(undone), "undistortionParams", source).any():
-        raise SceneError(f"{source}: its lens is described by undistortionParams, which are not read; {_UNDISTORT}")
+        raise SceneError(f"{source}: its lens has undistortionParams, which MGSR does not read; {_UNDISTORT}")
     given = camera.get("distortionParams") or [0.0] * _TERMS[kind]
     k1, k2, k3, t1, t2 = *(float(x) for x in numbers(given, _TERMS[kind], "distortionParams", source)), *_zeros(kind)
     match kind:
@@ -211,7 +215,7 @@ def _lens(camera: dict[str, Any], source: str) -> tuple[AnyLens | None, float]:
         case "radialk3pt":  # a radius of 1 stays 1
             total = 1 + k1 + k2 + k3
             if total <= 0:
-                raise SceneError(f"{source}: distortionParams {given} turn the image over; {_UNDISTORT}")
+                raise SceneError(f"{source}: distortionParams {given} fold the image over; {_UNDISTORT}")
             return Lens(k1, k2, higher=(k3,)), 1 / total
     return Lens(k1, k2, t1, t2, higher=(k3,)), 1.0
 

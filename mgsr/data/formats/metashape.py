@@ -22,8 +22,8 @@ from mgsr.errors import SceneError, in_short
 
 _LENSES = {"frame": False, "fisheye": True}
 _SLAVE = (
-    "a slave of a multi-camera system, which is not supported: add the photographs to Metashape as single cameras, "
-    "align and export them again"
+    "part of a multi-camera system, which is not supported; add the photographs to Metashape as single cameras, align "
+    "them and export them again"
 )
 _TERMS = ("f", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
 
@@ -44,7 +44,7 @@ def read(folder: SceneFolder) -> Capture:
     in a convention that no export has confirmed yet.
     """
     name = recognises(folder.root)
-    assert name is not None, "read() is for folders that were recognised"
+    assert name is not None, "read() accepts recognised folders only"
     chunk = _chunk(folder.root / name)
     sensors, worlds = _by_id(chunk, "sensors/sensor"), _worlds(chunk)
     cameras = [(camera, label) for camera, label in _cameras(chunk) if camera.get("enabled") not in ("0", "false")]
@@ -99,12 +99,12 @@ def _chunk(path: Path) -> Element:
     try:
         text = _decoded(path.read_bytes())
         if "<!DOCTYPE" in text or "<!ENTITY" in text:
-            raise SceneError(f"{path.name}: has a DOCTYPE, which Metashape doesn't write; refused")
+            raise SceneError(f"{path.name}: the file has a DOCTYPE, which Metashape never writes; MGSR refuses it")
         chunk = ElementTree.fromstring(text).find("chunk")
     except (ElementTree.ParseError, OSError, RecursionError, ValueError, LookupError) as error:
         raise SceneError(f"{path.name}: not valid XML: {in_short(error)}; export it again") from error
     if chunk is None:
-        raise SceneError(f"{path.name}: no chunk in the document; export the cameras again")
+        raise SceneError(f"{path.name}: the document has no chunk; export the cameras again")
     return chunk
 
 
@@ -129,7 +129,7 @@ def _world(camera: Element, worlds: dict[str | None, Element], source: str) -> t
     rotation = _numbers(item, "rotation", 9, source, np.eye(3).ravel()).reshape(3, 3)
     scale = float(_numbers(item, "scale", 1, source, np.ones(1))[0])
     if scale <= 0:
-        raise SceneError(f"{source}: the chunk's scale is {scale:g}; expected a number above 0")
+        raise SceneError(f"{source}: expected a scale of the chunk above 0, got {scale:g}")
     return rotation, _numbers(item, "translation", 3, source, np.zeros(3)), scale
 
 
@@ -141,7 +141,9 @@ def _photo(
     source: str,
 ) -> Photo:
     if camera.find("transform") is None:
-        raise SceneError(f"{source}: it is not aligned; align the cameras in Metashape and export them again")
+        raise SceneError(
+            f"{source}: the photograph is not aligned; align the cameras in Metashape and export them again"
+        )
     if _is_slave(camera):
         raise SceneError(f"{source}: it is {_SLAVE}")
     K, lens, size = _intrinsics(sensor, source)
@@ -159,7 +161,7 @@ def _intrinsics(sensor: Element | None, source: str) -> tuple[np.ndarray, Lens |
     terms that are not supported.
     """
     if sensor is None:
-        raise SceneError(f"{source}: its sensor is not in the file; export the cameras again")
+        raise SceneError(f"{source}: the file lacks its sensor; export the cameras again")
     found = sensor.findall("calibration")
     item = next((entry for entry in found if entry.get("class") == "adjusted"), found[0] if found else None)
     kind = (None if item is None else item.get("type")) or sensor.get("type") or ""
@@ -173,8 +175,8 @@ def _intrinsics(sensor: Element | None, source: str) -> tuple[np.ndarray, Lens |
         value = _numbers(item, name, 1, source, np.zeros(1))[0]
         if value:
             raise SceneError(
-                f"{source}: distortion {name} is {value:g}, which is not supported; optimise the cameras in Metashape "
-                "without p3 and p4, and export them again"
+                f"{source}: distortion {name} is {value:g}, but MGSR supports only 0; optimise the cameras in "
+                "Metashape without p3 and p4, and export them again"
             )
     size = _size(item.find("resolution"), sensor.find("resolution"), source)
     f, cx, cy, k1, k2, k3, k4, p1, p2, b1, b2 = (

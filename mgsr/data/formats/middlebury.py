@@ -32,7 +32,7 @@ def read(folder: SceneFolder) -> Capture:
     People share parts of these data with the whole file, so any share of the photographs is enough.
     """
     name = recognises(folder.root)
-    assert name is not None, "read() is for folders that were recognised"
+    assert name is not None, "read() accepts recognised folders only"
     lines = _lines(folder.root / name)
     found = folder.find_photos(name, [line[0] for line in lines])
     capture = Capture.of(found, lambda i, path: _photo(path, lines[i], f"{name}, line {i + 2}"))
@@ -44,11 +44,12 @@ def _lines(path: Path) -> list[list[str]]:
     try:
         lines = [line.split() for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path.name}: can't be read as text: {in_short(error)}") from error
+        raise SceneError(f"{path.name}: this file is not text: {in_short(error)}; copy it again") from error
     if not lines or lines[0] != [str(len(lines) - 1)]:
         first = " ".join(lines[0])[:40] if lines else "nothing"
         raise SceneError(
-            f"{path.name}: the first line must be the count of the others ({max(0, len(lines) - 1)}), got {first!r}"
+            f"{path.name}: expected the number of further lines ({max(0, len(lines) - 1)}) in the first line, got "
+            f"{first!r}"
         )
     return lines[1:]
 

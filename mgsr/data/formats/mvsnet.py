@@ -79,7 +79,7 @@ def _matrices(file: Path, source: str) -> tuple[np.ndarray, np.ndarray]:
 def _part(lines: list[str], title: str, count: int, source: str) -> list[list[float]]:
     """Return the rows of numbers after the line that says `title`. Raises SceneError where there is none."""
     if title not in lines:
-        raise SceneError(f"{source}: expected a line {title!r} and {count} rows of numbers after it; mend the file")
+        raise SceneError(f"{source}: expected a line {title!r} and {count} rows of numbers after it; fix the file")
     start = lines.index(title) + 1
     return [row_from(line, source) for line in lines[start : start + count]]
 

@@ -50,7 +50,7 @@ def _points(folder: SceneFolder, content: dict[str, Any]) -> tuple[PointCloud | 
     path = folder.find_file(name, f"{_FILE}, ply_file_path")
     if path is not None:
         return read_points(path), ()
-    return None, (f"the points {str(name)[:80]} that {_FILE} names are missing: the run starts without them",)
+    return None, (f"the points {str(name)[:80]} named by {_FILE} are missing; the run starts without them",)
 
 
 def _splits(content: dict[str, Any]) -> dict[str, Split]:
@@ -60,12 +60,12 @@ def _splits(content: dict[str, Any]) -> dict[str, Split]:
     """
     lists = {part: content.get(f"{part}_filenames") for part in ("train", "val", "test")}
     if not all(names is None or isinstance(names, list) for names in lists.values()):
-        raise SceneError(f"{_FILE}: expected lists of paths as train_filenames, val_filenames, test_filenames")
+        raise SceneError(f"{_FILE}: expected train_filenames, val_filenames and test_filenames to be lists of paths")
     part = "test" if lists["test"] else "val"
     train, tests = ([_key(name) for name in lists[name] or []] for name in ("train", part))
     if both := set(train) & set(tests):
         raise SceneError(
-            f"{_FILE}: {min(both)[:200]} is in train_filenames and in {part}_filenames; remove it from one of them"
+            f"{_FILE}: {min(both)[:200]} is in both train_filenames and {part}_filenames; remove it from one of them"
         )
     return dict.fromkeys(train, Split.TRAIN) | dict.fromkeys(tests, Split.TEST) if tests else {}
 

@@ -32,16 +32,17 @@ def recognises(root: Path) -> str | None:
 def read(folder: SceneFolder) -> Capture:
     """Read every photograph of image/ by name, with world_mat_0, world_mat_1, ... in the world's frame.
 
-    `scale_mat`, which gives the normalisation of other programs, is not needed.
+    `scale_mat`, which gives the normalisation of other programs, is not needed. Raises SceneError if there is not one
+    image per camera.
     """
     root, name = folder.root, recognises(folder.root)
-    assert name is not None, "read() is for folders that were recognised"
+    assert name is not None, "read() accepts recognised folders only"
     matrices = _matrices(root / name)
     images = _images(root, name)
     if len(images) != len(matrices):
         raise SceneError(
-            f"{name}: {len(matrices)} cameras (world_mat_0...), but {len(images)} images in {images[0].parent.name}/; "
-            "give one image for each camera"
+            f"{name}: it has {len(matrices)} cameras (world_mat_0...), but {images[0].parent.name}/ has {len(images)} "
+            "images; provide one image per camera"
         )
     masks = _masks(folder, images)
     found = FoundPhotos(name, list(images))
@@ -59,7 +60,7 @@ def _matrices(path: Path) -> list[np.ndarray]:
         return [arrays[f"world_mat_{i}"].astype(np.float64) for i in range(count)]
     except (ValueError, KeyError) as error:
         raise SceneError(
-            f"{path.name}: damaged, or without world_mat_0, world_mat_1, ...: {in_short(error)}"
+            f"{path.name}: the file is damaged or lacks world_mat_0, world_mat_1, ...: {in_short(error)}"
         ) from error
 
 
@@ -67,7 +68,9 @@ def _images(root: Path, name: str) -> list[Path]:
     folder = next((root / folder for folder in _FOLDERS if (root / folder).is_dir()), None)
     images = images_below(folder) if folder else []
     if not images:
-        raise SceneError(f"{name}: no images in {' or '.join(f'{folder}/' for folder in _FOLDERS)}; put them there")
+        raise SceneError(
+            f"{name}: there are no images in {' or '.join(f'{folder}/' for folder in _FOLDERS)}; copy them there"
+        )
     return images
 
 

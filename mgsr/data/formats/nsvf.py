@@ -114,7 +114,7 @@ def _used(views: list[_NsvfPhoto]) -> tuple[list[_NsvfPhoto], tuple[str, ...]]:
         return [view.as_test() if view.part is _NsvfSplit.VALIDATION else view for view in views], ()
     used = [view for view in views if view.part is not _NsvfSplit.VALIDATION]
     left = len(views) - len(used)
-    return used, (f"{left} validation views are not used, as there are test views",) if left else ()
+    return used, (f"{left} validation views are ignored because there are test views",) if left else ()
 
 
 def _photo(root: Path, image: Path, view: _NsvfPhoto) -> Photo:

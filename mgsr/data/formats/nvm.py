@@ -34,13 +34,13 @@ def recognises(root: Path) -> str | None:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read the photographs and points of the model with most photographs."""
+    """Read the photographs and points of the model with most photographs. Raises SceneError if all are empty."""
     file = recognises(folder.root)
-    assert file is not None, "read() is for folders that were recognised"
+    assert file is not None, "read() accepts recognised folders only"
     content = _content(folder.root / file)
     model = max(content.models, key=lambda candidate: len(candidate.cameras), default=_NvmModel([], None))
     if not model.cameras:
-        raise SceneError(f"{file}: no photographs in it; reconstruct in VisualSFM and save it again")
+        raise SceneError(f"{file}: it lists no photographs; reconstruct in VisualSFM and save it again")
     found = folder.find_photos(file, [camera.name for camera in model.cameras])
     capture = Capture.of(
         found, lambda i, path: _photo(path, model.cameras[i], content, f"{file}, {model.cameras[i].name[:80]}")
@@ -104,7 +104,7 @@ def _lines(file: Iterable[str]) -> Iterator[str]:
 def _next(lines: Iterator[str]) -> str:
     line = next(lines, None)
     if line is None:
-        raise ValueError("the file ends early")
+        raise ValueError("the file is truncated")
     return line
 
 
@@ -141,7 +141,8 @@ def _other_models(models: list[_NvmModel], used: _NvmModel, file: str) -> tuple[
     if not others:
         return ()
     return (
-        f"the largest model of {file} is used, with {len(used.cameras)} photographs; others have {', '.join(others)}",
+        f"the largest model of {file} with {len(used.cameras)} photographs is used; the others have "
+        f"{', '.join(others)}",
     )
 
 

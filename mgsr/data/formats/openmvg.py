@@ -45,7 +45,7 @@ def recognises(root: Path) -> str | None:
 def read(folder: SceneFolder) -> Capture:
     """Read every view that has a pose, and every point; points have no colours."""
     file = recognises(folder.root)
-    assert file is not None, "read() is for folders that were recognised"
+    assert file is not None, "read() accepts recognised folders only"
     scene = _scene(read_json(folder.root / file), file)
     names = [_path(scene.root_path, view) for view in scene.views]
     found = folder.find_photos(file, names)
@@ -150,7 +150,7 @@ def _photo(image: Path, view: dict[str, Any], scene: _OpenMvgScene, source: str)
     pose = scene.poses.get(_id(view.get("id_pose")))
     camera = scene.intrinsics.get(_id(view.get("id_intrinsic")))
     if pose is None or camera is None:
-        raise SceneError(f"{source}: {'no pose: it was not placed' if pose is None else 'its intrinsics are missing'}")
+        raise SceneError(f"{source}: {'it has no pose' if pose is None else 'the file lacks its intrinsics'}")
     K, lens = _camera(camera, source)
     rotation = matrix(pose.get("rotation"), "rotation", source)
     center = numbers(pose.get("center"), 3, "center", source)
@@ -168,8 +168,8 @@ def _camera(camera: dict[str, Any], source: str) -> tuple[np.ndarray, Lens | Non
         raise SceneError(f"{source}: camera model {model} is not supported: {PANORAMA_CURE}")
     if not isinstance(model, str) or model not in _TERMS:
         raise SceneError(
-            f"{source}: camera model {str(model)[:80]!r} is not supported; expected one of {', '.join(_TERMS)}: choose "
-            "one of them in OpenMVG's image listing, or give what openMVG_main_ExportUndistortedImages writes"
+            f"{source}: camera model {str(model)[:80]!r} is not supported; expected one of {', '.join(_TERMS)}; "
+            "choose one of them in OpenMVG's image listing, or use the output of openMVG_main_ExportUndistortedImages"
         )
     focal = number(camera, "focal_length", source)
     cx, cy = numbers(camera.get("principal_point"), 2, "principal_point", source)

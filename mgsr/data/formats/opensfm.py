@@ -37,15 +37,15 @@ def read(folder: SceneFolder) -> Capture:
     That is in metres with z up, where OpenSfM knows them.
     """
     name = recognises(folder.root)
-    assert name is not None, "read() is for folders that were recognised"
+    assert name is not None, "read() accepts recognised folders only"
     largest = _largest(read_json(folder.root / name), name)
     shots, cameras = largest["shots"], largest["cameras"]
     names = sorted(shots)
     found = folder.find_photos(name, names, ("images",))
     capture = Capture.of(found, lambda i, path: _photo(path, shots[names[i]], cameras, f"{name}, shot {names[i][:80]}"))
-    cure = "take more photographs between those that were left out, or remove them"
+    cure = "take more photographs between the unaligned ones, or remove those"
     total = max(len(images_below(folder.root / "images")), len(names))
-    notes = check_share(len(names), total, 0.25, f"are in the largest part of {name}", cure)
+    notes = check_share(len(names), total, 0.25, f"are in the largest reconstruction of {name}", cure)
     return replace(capture, points=_points(largest.get("points"), name), notes=(*capture.notes, *notes))
 
 
@@ -65,14 +65,14 @@ def _maps(*values: Any) -> bool:
 def _photo(image: Path, shot: dict[str, Any], cameras: dict[str, Any], source: str) -> Photo:
     camera = cameras.get(str(shot.get("camera")))
     if camera is None:
-        raise SceneError(f"{source}: camera {str(shot.get('camera'))[:80]!r} is not in the file")
+        raise SceneError(f"{source}: the file lacks camera {str(shot.get('camera'))[:80]!r}; export it again")
     size = (int(number(camera, "width", source)), int(number(camera, "height", source)))
     K, lens = _camera(camera, size, source)
     pose = np.eye(4)
     axis = matrix_from([shot.get("rotation")], 1, 3, "rotation", source)[0]
     pose[:3, 3] = matrix_from([shot.get("translation")], 1, 3, "translation", source)[0]
     if not np.isfinite(axis).all():
-        raise SceneError(f"{source}: the rotation has NaN or infinite numbers; remove this shot or mend it")
+        raise SceneError(f"{source}: the rotation has NaN or infinite numbers; fix or remove this shot")
     pose[:3, :3] = Rotation.from_rotvec(axis).as_matrix()
     return Photo(image, K, size, pose, source, lens=lens)
 

@@ -31,7 +31,7 @@ def recognises(root: Path) -> str | None:
 def read(folder: SceneFolder) -> Capture:
     """Read every camera in the project's frame; the file ..._offset.xyz gives the frame's origin."""
     file = recognises(folder.root)
-    assert file is not None, "read() is for folders that were recognised"
+    assert file is not None, "read() accepts recognised folders only"
     cameras = _cameras(folder.root / file)
     found = folder.find_photos(file, [camera.name for camera in cameras], labels=True)
     capture = Capture.of(found, lambda i, path: _photo(path, cameras[i], f"{file}, {cameras[i].name[:200]}"))
@@ -60,13 +60,13 @@ def _cameras(path: Path) -> list[_Pix4dCamera]:
     try:
         lines = [line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     except (OSError, ValueError) as error:
-        raise SceneError(f"{path.name}: can't be read as text: {in_short(error)}; process the project again") from error
+        raise SceneError(f"{path.name}: this file is not text: {in_short(error)}; process the project again") from error
     ends = [i for i, line in enumerate(lines[:20]) if " ".join(line.lower().split()) == _END_OF_HEAD]
     rows = lines[ends[0] + 1 :] if ends else []
     if not rows or len(rows) % _LINES:
         raise SceneError(
-            f"{path.name}: {len(rows)} lines after its head, expected {_LINES} for each photograph; copy the file "
-            "again, or process the project again"
+            f"{path.name}: expected {_LINES} lines per photograph after the header, got {len(rows)} lines in all; "
+            "copy the file again, or process the project again"
         )
     return [_camera(rows[i : i + _LINES], path.name) for i in range(0, len(rows), _LINES)]
 

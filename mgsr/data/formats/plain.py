@@ -28,10 +28,10 @@ def recognises(root: Path) -> str | None:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every view of the file."""
+    """Read every view of the file. Raises SceneError if `views` is not a list of objects."""
     views = read_json(folder.root / _FILE)["views"]
     if not isinstance(views, list) or not all(isinstance(view, dict) for view in views):
-        raise SceneError(f"{_FILE}: 'views': expected a list of objects with K, cam_from_world and image")
+        raise SceneError(f"{_FILE}: expected 'views' to be a list of objects with K, cam_from_world and image")
     splits = [_split(view, i) for i, view in enumerate(views)]
     # Views that say nothing train, as soon as one view says something.
     default = Split.TRAIN if any(splits) else None
@@ -56,7 +56,7 @@ def _mask(folder: SceneFolder, view: dict[str, Any], source: str) -> Path | None
     if view.get("mask") is None:
         return None
     if (mask := folder.find_file(view["mask"], f"{source}, mask")) is None:
-        raise SceneError(f"{source}: its mask {str(view['mask'])[:200]} is missing; put it there, or name none")
+        raise SceneError(f"{source}: its mask {str(view['mask'])[:200]} is missing; add it, or name no mask")
     return mask
 
 

@@ -29,7 +29,7 @@ def recognises(root: Path) -> str | None:
 def read(folder: SceneFolder) -> Capture:
     """Read every camera and its photograph, in Polycam's frame: metres, y up."""
     place = recognises(folder.root)
-    assert place is not None, "read() is for folders that were recognised"
+    assert place is not None, "read() accepts recognised folders only"
     files = sorted((folder.root / place).glob(_CAMERAS))
     found = folder.find_photos(place, [path.stem for path in files], (dict(_PLACES)[place],))
     return Capture.of(found, lambda i, path: _photo(path, files[i], files[i].relative_to(folder.root).as_posix()))

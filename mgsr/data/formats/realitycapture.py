@@ -41,7 +41,7 @@ def recognises(root: Path) -> str | None:
 def read(folder: SceneFolder) -> Capture:
     """Read every row's photograph, found by name anywhere in the folder, in the frame of the export (z up)."""
     name = recognises(folder.root)
-    assert name is not None, "read() is for folders that were recognised"
+    assert name is not None, "read() accepts recognised folders only"
     rows = _rows(folder.root / name)
     found = folder.find_photos(name, [row["#name"] for row in rows], labels=True)
     return Capture.of(found, lambda i, path: _photo(rows[i], path, f"{name}, row {i + 1} ({path.name})"))
@@ -82,21 +82,21 @@ def _rows(path: Path) -> list[dict[str, str]]:
     if header is None or not header.fits:
         columns = ",".join(header.columns)[:200] if header else "unreadable"
         raise SceneError(
-            f"{path.name}: its columns are {columns}; expected {','.join(_NEEDED)}, with commas between them: "
-            'export "Internal/External camera parameters" with the default settings'
+            f"{path.name}: expected the columns {','.join(_NEEDED)}, separated by commas, got {columns}; export "
+            '"Internal/External camera parameters" with the default settings'
         )
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = [row for row in list(csv.reader(file))[header.line + 1 :] if row]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise SceneError(f"{path.name}: can't be read as CSV: {in_short(error)}; export it again") from error
+        raise SceneError(f"{path.name}: this file is not CSV: {in_short(error)}; export it again") from error
     if not rows:
-        raise SceneError(f"{path.name}: no rows after the columns' names; align the photographs and export it again")
+        raise SceneError(f"{path.name}: the table has no rows; align the photographs and export it again")
     for i, row in enumerate(rows, start=1):
         if len(row) != len(header.columns):
             raise SceneError(
                 f"{path.name}, row {i}: expected {len(header.columns)} values, got {len(row)}; export it again, with "
-                "commas between the values and points in the numbers"
+                "commas between values and decimal points in numbers"
             )
     return [dict(zip(header.columns, row, strict=True)) for row in rows]
 

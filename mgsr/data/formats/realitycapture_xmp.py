@@ -75,13 +75,13 @@ def _is_camera(path: Path, also: re.Pattern[bytes] = re.compile(b"")) -> bool:
 def _photo(image: Path, sidecar: Path, source: str) -> Photo:
     values = _values(read_xml(sidecar))
     if "Position" not in values or "Rotation" not in values:
-        raise SceneError(f"{source}: no Position and Rotation: the photograph was not aligned")
+        raise SceneError(f"{source}: it has no Position and Rotation, so the photograph is not aligned")
     size = image_size(image, source)
     side = max(size)
     focal = _number(values, "FocalLength35mm", source) / _FILM * side
     u, v = (_number(values, f"PrincipalPoint{axis}", source, 0.0) * side for axis in "UV")
     if _number(values, "Skew", source, 0.0):
-        raise SceneError(f"{source}: Skew is {values['Skew'][:20]}, which is not supported; align without it")
+        raise SceneError(f"{source}: Skew is {values['Skew'][:20]}, but MGSR supports only 0; align without skew")
     lens = _lens(values, source)
     rotation = numbers(values["Rotation"], 9, "Rotation", source).reshape(3, 3)
     return Photo(

@@ -38,14 +38,18 @@ def _is_record3d(path: Path) -> bool:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every frame: photographs by number, and intrinsics of the frame where the file has them."""
+    """Read every frame: photographs by number, and intrinsics of the frame where the file has them.
+
+    Raises SceneError if the file has no poses.
+    """
     name = recognises(folder.root)
-    assert name is not None, "read() is for folders that were recognised"
+    assert name is not None, "read() accepts recognised folders only"
     content = read_json(folder.root / name)
     poses = content.get("poses") if isinstance(content, dict) else None
     if not isinstance(poses, list) or not poses:
         raise SceneError(
-            f"{name}: no poses; record with the LiDAR camera, as videos of the front camera have none, and export again"
+            f"{name}: the file has no poses; record with the LiDAR camera, because videos of the front camera have "
+            "none, and export again"
         )
     found = folder.find_photos(name, _names(folder.root, len(poses)), _PLACES)
     return Capture.of(found, lambda frame, path: _photo(path, content, poses[frame], frame, f"{name}, frame {frame}"))

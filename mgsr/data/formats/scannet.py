@@ -36,7 +36,7 @@ def recognises(root: Path) -> str | None:
 def read(folder: SceneFolder) -> Capture:
     """Read every frame that was tracked."""
     name = recognises(folder.root)
-    assert name is not None, "read() is for folders that were recognised"
+    assert name is not None, "read() accepts recognised folders only"
     K, _ = read_intrinsics(folder.root / name)
     poses = texts_in(folder.root / "pose")
     found = folder.find_photos("pose/", [path.stem for path in poses], _PLACES, labels=True)
@@ -48,7 +48,7 @@ def _photo(image: Path, K: np.ndarray, file: Path) -> Photo:
     source = f"pose/{file.name}"
     pose = read_pose(file)
     if not np.isfinite(pose).all():
-        raise SceneError(f"{source}: tracking was lost in this frame")
+        raise SceneError(f"{source}: the frame has no pose, because tracking was lost")
     size = image_size(image, source)
     return Photo(image, _for_size(K, size), size, from_world_from_cam(pose, source), source)
 

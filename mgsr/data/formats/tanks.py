@@ -71,17 +71,17 @@ class _Calibration:
 def read(folder: SceneFolder) -> Capture:
     """Read the pose of every photograph that has one. Raises SceneError where there are no intrinsics."""
     name = recognises(folder.root)
-    assert name is not None, "read() is for folders that were recognised"
+    assert name is not None, "read() accepts recognised folders only"
     everything = _entries(folder.root / name)
     entries = [entry for entry in everything if entry.has_pose]
     if not entries:
-        raise SceneError(f"{name}: no photograph has a pose; write the log again")
+        raise SceneError(f"{name}: the log has no pose of a photograph; write it again")
     photographs = _photographs(folder, name, [entry.number for entry in everything])
     calibration = _calibration(folder.root, name)
     found = folder.find_photos(name, [photographs[entry.number] for entry in entries])
     capture = Capture.of(found, lambda i, image: _photo(image, entries[i], calibration, name))
     left = len(everything) - len(entries)
-    notes = (f"{left} of {len(everything)} photographs have no pose in {name}",) if left else ()
+    notes = (f"{name} has no pose of {left} of {len(everything)} photographs",) if left else ()
     return replace(capture, notes=(*capture.notes, *notes))
 
 
@@ -91,7 +91,9 @@ def _entries(path: Path) -> list[_LogEntry]:
     blocks = [rows[i : i + 5] for i in range(0, len(rows), 5)]
     for i, block in enumerate(blocks):
         if [len(row) for row in block] != [3, 4, 4, 4, 4]:
-            raise SceneError(f"{path.name}: entry {i}: expected three numbers and four rows of four; copy it again")
+            raise SceneError(
+                f"{path.name}: entry {i}: expected three numbers and four rows of four numbers; copy the file again"
+            )
     firsts = [block[0][0] for block in blocks]
     # Open3D's logs repeat the first number or count from elsewhere; then the order of the entries counts.
     if sorted(firsts) != [*range(len(blocks))] and not _are_a_choice(firsts):
@@ -123,10 +125,12 @@ def _photographs(folder: SceneFolder, name: str, order: list[int]) -> dict[int, 
         return {n: str(path.relative_to(root)) for n, path in zip(sorted(order), best, strict=True)}
     if found and all(_NUMBERED.fullmatch(path.stem) for path in found[0]):
         return {n: str(found[0][0].with_name(f"{n + 1:06d}").relative_to(root)) for n in order}
-    there = f"{len(found[0])} in {folder.shown(found[0][0].parent)}" if found else "none there"
+    there = (
+        f"{folder.shown(found[0][0].parent)} has {len(found[0])} photographs" if found else "there are no photographs"
+    )
     raise SceneError(
-        f"{name}: poses of {len(order)} photographs, but {there}; they go by the order of their names: put exactly "
-        "these into images/"
+        f"{name}: it has {len(order)} poses, but {there}; poses follow the order of the photographs' names, so copy "
+        "exactly these to images/"
     )
 
 
@@ -139,8 +143,8 @@ def _calibration(root: Path, name: str) -> _Calibration:
         if _JSONS.fullmatch(path.name):
             return _from_json(read_json(path), path.name)
     raise SceneError(
-        f"{name}: has poses, but the intrinsics of the photographs are missing: write their fx fy cx cy, in pixels, "
-        "into intrinsics.txt beside it, or give their COLMAP model in sparse/"
+        f"{name}: it has poses but no intrinsics; write fx fy cx cy in pixels to intrinsics.txt beside it, or add a "
+        "COLMAP model in sparse/"
     )
 
 
@@ -151,7 +155,7 @@ def _from_json(content: Any, source: str) -> _Calibration:
     """
     values = content.get("intrinsic", content) if isinstance(content, dict) else None
     if not isinstance(values, dict):
-        raise SceneError(f"{source}: expected intrinsics, as Open3D writes them; mend the file")
+        raise SceneError(f"{source}: expected intrinsics in Open3D's form; fix the file")
     if "intrinsic_matrix" in values:
         K = numbers(values["intrinsic_matrix"], 9, "intrinsic_matrix", source).reshape(3, 3)
         K = K if K[:2, 2].any() else K.T

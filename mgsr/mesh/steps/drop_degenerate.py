@@ -18,5 +18,5 @@ class DropDegenerate(MeshStep):
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
         mesh = drop_degenerate(mesh)
-        context.require_faces(mesh, "no pixel's surface survived the fusion")
+        context.require_faces(mesh, "no face remains after the fusion")
         return StepResult(mesh, light)

@@ -124,9 +124,8 @@ class TimeLeft:
 def cure(config: MeshConfig) -> str:
     """Return a remedy for an extraction without surface."""
     return (
-        "look at the rendered depth of the 2D branch: train it longer, or relax "
-        f"mesh.min_alpha={config.min_alpha}, mesh.min_cos={config.min_cos}, mesh.consistency={config.consistency} or "
-        f"mesh.radius={config.radius}"
+        f"check the rendered depth of the 2D branch; train it longer, or relax mesh.min_alpha={config.min_alpha}, "
+        f"mesh.min_cos={config.min_cos}, mesh.consistency={config.consistency} or mesh.radius={config.radius}"
     )
 
 

@@ -32,7 +32,7 @@ class Params(ctypes.Structure):
 def activate(
     launcher: Launcher, kinds: Sequence[Activation], largest: float, stored: Sequence[Tensor], used: Sequence[Tensor]
 ) -> None:
-    """Write the activated values; exponentials of more than `largest` are that of it."""
+    """Write the activated values of stored tensors [...]; an exponent above `largest` counts as `largest`."""
     _launch(launcher, "forward", kinds, largest, stored, [None] * len(used), used)
 
 
@@ -44,7 +44,7 @@ def activate_vjp(
     v_used: Sequence[Tensor | None],
     v_stored: Sequence[Tensor],
 ) -> None:
-    """Write the gradients of the stored parameters."""
+    """Write the gradients [...] of the stored parameters from those of the activated values, all of equal shapes."""
     _launch(launcher, "backward", kinds, largest, used, v_used, v_stored)
 
 

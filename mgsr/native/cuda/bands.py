@@ -22,7 +22,7 @@ from mgsr.native.cuda.tiles import THREADS, Band, Blended, CountParams, Projecte
 MAX_PAIRS = 2**31 - 1  # their numbers are of 32 bits
 PAIR_BYTES = 450  # of a pair's lists, gradient and share of the pixels' states, at most
 FEW = 16  # pairs that need less than this part of the memory are tried without asking what is free
-CURE = "expected fewer or smaller splats, a smaller image, or a card with more memory"
+CURE = "use fewer or smaller splats, a smaller image or a card with more memory"
 
 Result = TypeVar("Result")
 
@@ -122,7 +122,8 @@ def _cut(launcher: Launcher, projected: Projected, band: Band, most: int) -> Ite
     one_row = band.end - band.first == 1
     if one_row and band.pairs > MAX_PAIRS:
         raise GpuError(
-            f"a row of tiles of this view has {band.pairs} pairs of splats and tiles, more than {MAX_PAIRS}: {CURE}"
+            f"a row of tiles of this view has {band.pairs} pairs of splats and tiles, more than the limit of "
+            f"{MAX_PAIRS}; {CURE}"
         )
     if one_row or band.pairs <= most:
         yield band
@@ -144,8 +145,8 @@ def _halve(launcher: Launcher, projected: Projected, band: Band, reason: str) ->
         except torch.OutOfMemoryError as error:
             reason = str(error)
     raise GpuError(
-        f"the card's memory does not hold {band.pairs} pairs of splats and tiles in {band.end - band.first} row(s) of "
-        f"tiles ({reason}): {CURE}"
+        f"the card's memory cannot hold {band.pairs} pairs of splats and tiles in {band.end - band.first} row(s) of "
+        f"tiles ({reason}); {CURE}"
     )
 
 

@@ -27,9 +27,9 @@ def compile_family(family: str, arch: str, cache_dir: Path | None = None) -> byt
         from cuda.core import Program, ProgramOptions
         from cuda.core.utils import make_program_cache_key
     except ImportError as error:
-        raise GpuError(f"cuda-core can't be imported ({error}); {INSTALL}") from error
+        raise GpuError(f"cuda-core cannot be imported ({error}); {INSTALL}") from error
     if arch not in supported_archs():
-        raise GpuError(f"{arch}: expected one of {', '.join(supported_archs())}, which this NVRTC compiles for")
+        raise GpuError(f"{arch}: expected one of {', '.join(supported_archs())}, the architectures of this NVRTC")
     text = (SOURCES / "kernels" / family / f"{family}.cu").read_text()
     options = ProgramOptions(
         name=f"{family}.cu",
@@ -59,7 +59,7 @@ def supported_archs() -> list[str]:
 
         _, archs = nvrtc.nvrtcGetSupportedArchs()
     except (ImportError, RuntimeError) as error:
-        raise GpuError(f"NVRTC, NVIDIA's run-time compiler, can't be loaded ({error}); {INSTALL}") from error
+        raise GpuError(f"NVRTC, NVIDIA's run-time compiler, cannot be loaded ({error}); {INSTALL}") from error
     return [f"sm_{arch}" for arch in sorted(archs)]
 
 
@@ -72,9 +72,9 @@ def arch_for(major: int, minor: int) -> str:
     capable = [arch for arch in archs if arch[3:-1] == str(major) and int(arch[-1]) <= minor]
     if not capable:
         raise GpuError(
-            f"this card has compute capability {major}.{minor}, and the installed NVRTC compiles for "
-            f"{', '.join(archs)}: with a newer card, install a newer nvidia-cuda-nvrtc; an older one is not supported, "
-            "use --device cpu"
+            f"this card has compute capability {major}.{minor}, but the installed NVRTC compiles for "
+            f"{', '.join(archs)}; install a newer nvidia-cuda-nvrtc for a newer card, or use --device cpu for an "
+            "older one"
         )
     return capable[-1]
 

@@ -72,7 +72,7 @@ class ImageKernels:
     def image_loss(
         self, pair: ImagePair, v_image: Tensor | None, v_target: Tensor | None, mask_sum: float | None
     ) -> Sums:
-        """Return the mean loss, and the gradients of its sum inside the region."""
+        """Return the mean loss of two images [H,W,3], and write the gradients [H,W,3] of its sum inside the region."""
         image, target, mask, l1_weight, clip, region = pair
         height, width = image.shape[:2]
         maps = _grown(region, height, width)
@@ -95,7 +95,7 @@ class ImageKernels:
         return Sums(sums, 3.0, divisor=mask.sum())
 
     def tv(self, values: Tensor, guide: Tensor, mask: Tensor | None, v_values: Tensor | None) -> Sums:
-        """Return the mean over pairs and channels, and the gradient of its sum."""
+        """Return the mean variation of values [H,W,C] over pairs and channels, and write its gradient [H,W,C]."""
         height, width, channels = values.shape
         blocks = -(-height * width // PIXEL_THREADS)
         sums = values.new_empty(blocks, 2, dtype=torch.float64)

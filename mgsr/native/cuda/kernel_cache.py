@@ -56,7 +56,7 @@ class KernelCache:
         from cuda.core.utils import FileStreamProgramCache
 
         if self._folder is None:
-            self._tell("no home folder is known")
+            self._tell("there is no home folder")
             return
         try:
             with FileStreamProgramCache(self._folder) as files:
@@ -69,9 +69,9 @@ class KernelCache:
             told, self._told = self._told, True
         if not told:
             log.warning(
-                "compiled CUDA kernels can't be kept in %s (%s), so every start compiles them again: name a folder "
-                "that can be written with MGSR_CUDA_CACHE",
-                self._folder or "a folder of their own",
+                "compiled CUDA kernels cannot be kept in %s (%s), so every start compiles them again; set "
+                "MGSR_CUDA_CACHE to a writable folder",
+                self._folder or "a separate folder",
                 reason,
             )
 

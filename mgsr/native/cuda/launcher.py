@@ -45,7 +45,7 @@ _chosen: ContextVar[Launcher | None] = ContextVar("launcher", default=None)
 
 
 def launcher_for(tensor: torch.Tensor) -> Launcher | None:
-    """Return the launcher of the CUDA kernels for a tensor, or None for a tensor on the CPU, which has its own kernels.
+    """Return the launcher of the CUDA kernels for a tensor [...], or None for a tensor on the CPU.
 
     It is that of the tensor's card, or, inside `use_launcher`, the launcher given there. Raises GpuError when the card
     can't be used.
@@ -82,7 +82,7 @@ class CudaLauncher:
         try:
             from cuda.bindings import driver
         except ImportError as error:
-            raise GpuError(f"cuda-bindings can't be imported ({error}); {INSTALL}") from error
+            raise GpuError(f"cuda-bindings cannot be imported ({error}); {INSTALL}") from error
         torch.cuda.init()
         self._driver: Any = driver
         self._device = device
@@ -133,7 +133,7 @@ class CudaLauncher:
         try:
             handle = self._modules[family].get_kernel(kernel).handle
         except Exception as error:  # cuda-core's own class is private; its text begins with the driver's name for it
-            raise _failure(f"{kernel} can't be loaded on card {self._device}: {error}") from error
+            raise _failure(f"{kernel} cannot be loaded on card {self._device}: {error}") from error
         function = self._kernels[family, kernel] = int(handle)
         return function
 
@@ -179,7 +179,7 @@ def compiler_version() -> tuple[int, int]:
 
         _, major, minor = nvrtc.nvrtcVersion()
     except (ImportError, RuntimeError) as error:
-        raise GpuError(f"NVRTC, NVIDIA's run-time compiler, can't be loaded ({error}); {INSTALL}") from error
+        raise GpuError(f"NVRTC, NVIDIA's run-time compiler, cannot be loaded ({error}); {INSTALL}") from error
     return major, minor
 
 
@@ -191,7 +191,7 @@ def check_driver(driver_version: int, compiler: tuple[int, int]) -> None:
     major, minor = driver_version // 1000, driver_version % 1000 // 10
     if major < compiler[0]:
         raise GpuError(
-            f"the NVIDIA driver supports CUDA {major}.{minor} and the kernels are compiled by NVRTC "
-            f"{compiler[0]}.{compiler[1]}: install a newer driver, or cuda-bindings and NVRTC of the driver's version "
-            f"(pip install 'cuda-bindings=={major}.*' nvidia-cuda-nvrtc-cu{major})"
+            f"the NVIDIA driver supports CUDA {major}.{minor}, but NVRTC {compiler[0]}.{compiler[1]} compiles the "
+            "kernels; install a newer driver, or cuda-bindings and NVRTC of the driver's version (pip install "
+            f"'cuda-bindings=={major}.*' nvidia-cuda-nvrtc-cu{major})"
         )

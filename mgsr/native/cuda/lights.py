@@ -71,7 +71,10 @@ class LightKernels:
         before: tuple[Tensor | None, ...],
         out: tuple[Tensor, ...],
     ) -> None:
-        """Write the gradients of transmitted, weight, own and environment; `before` is added to the first three."""
+        """Write the gradients of transmitted, own and environment [H,W,3] and of weight [H,W].
+
+        before: gradients that are added to those of transmitted, weight and own.
+        """
         arrays = addresses(v_color, reflected, weight, *before, *out)
         self._run("lights_reflection_vjp", weight, ReflectionVjpParams(weight.numel(), *arrays))
 

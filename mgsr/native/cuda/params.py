@@ -20,7 +20,7 @@ def pointers(*names: str) -> tuple[tuple[str, Any], ...]:
 
 
 def pointer(tensor: torch.Tensor | None) -> int | None:
-    """Return where a tensor's data begins; for None, the null pointer None.
+    """Return where the data of a tensor [...] begins; for None, the null pointer None.
 
     The tensor must be contiguous and outlive the launch (on a card: stay in use on the stream of the launch, as torch's
     memory does).
@@ -37,4 +37,4 @@ def addresses(*tensors: torch.Tensor | None) -> list[int | None]:
 
 
 def _refuse(tensor: torch.Tensor) -> int:
-    raise AssertionError(f"kernels read contiguous tensors, got strides {tensor.stride()} of shape {[*tensor.shape]}")
+    raise AssertionError(f"expected a contiguous tensor, got strides {tensor.stride()} of shape {[*tensor.shape]}")

@@ -146,9 +146,10 @@ class SurfelKernels:
 
         Raises GpuError where the card's memory is too small.
         """
-        assert self._keep, "rendered without a backward pass in mind"
+        assert self._keep, "the render was made without a backward pass"
 
         def walk_back(band: Band) -> Tensor:
+            """Return the gradients [N,16] of a band's splats."""
             blended = frame.take_blended() or self._blend(frame, splats.background, view, images, band, keep=True)
             return self._walk_back(frame, blended, view, images, v_images)
 

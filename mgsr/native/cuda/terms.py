@@ -173,7 +173,7 @@ class TermKernels:
         divisor: Tensor | None,
         differences: Tensor,
     ) -> Sums:
-        """Return the sum of the squares of (a - b) * weights - offset, over `by` and the divisor."""
+        """Return the sum of squares of (a - b) * weights - offset, over `by` and the divisor; arrays [...]."""
         count, partial = a.numel(), _partial(a)
         inputs = (pointer(a), pointer(b), *addresses(*weights), offset)
         self._run("terms_squares", count, SquaresParams(count, *inputs, pointer(differences), pointer(partial)))

@@ -208,7 +208,7 @@ def sum_pairs(launcher: Launcher, lists: TileLists, pair_gradients: Tensor) -> T
 
 
 def read_later(scalar: Tensor) -> Callable[[], int]:
-    """Start to bring one integer to the host, and return a function that waits for it.
+    """Start copying an integer [] to the host, and return a function that waits for it.
 
     The function waits for nothing that is launched afterwards.
     """

@@ -56,7 +56,7 @@ class Page {
   /** Tell why the service does not let the page in. */
   private explain(error: unknown): void {
     const keyless = error instanceof Problem && error.status === 401 && this.service.key === null;
-    const text = h("p", { class: "lead" }, "This service asks for an API key.");
+    const text = h("p", { class: "lead" }, "This service needs an API key.");
     this.main.replaceChildren(keyless ? text : errorBox(error));
     byId("key-button").hidden = false;
   }
@@ -77,7 +77,7 @@ class Page {
     const { up } = this.service.connection;
     const banner = byId("connection");
     banner.dataset["up"] = `${up}`;
-    banner.textContent = up ? "" : "The service does not answer. Trying again; nothing is lost.";
+    banner.textContent = up ? "" : "The service does not answer. The page keeps trying, and nothing is lost.";
     if (up) announce("The service answers again.");
   }
 }

@@ -26,7 +26,7 @@ SHORT = "warmup.surfel_iterations=20 warmup.gaussian_iterations=20 mutual.iterat
 NAMES = {number: [step.name for step in steps.parts()[number]] for number in (1, 2, 3)}
 # Without a card, and whatever the machine has installed.
 WITHOUT_CARD = re.compile(
-    r"no card: this torch (is built for the CPU alone|sees no NVIDIA card or driver)|no card is us"
+    r"no card: the installed torch (is built for the CPU only|sees no NVIDIA card or driver)|finds no usable card"
 )
 
 
@@ -71,9 +71,9 @@ def test_every_step_needs_its_scene_or_says_what_it_lacks(place: Place) -> None:
             try:
                 words = step.command(place)
             except LeftOutError as reason:
-                assert ".npz was brought" in str(reason) or "gsplat" in str(reason), step.name
+                assert ".npz was not packed" in str(reason) or "gsplat" in str(reason), step.name
             except FileNotFoundError as error:
-                assert "is not installed; SKIP leaves it out" in str(error), step.name
+                assert "is not installed; skip the step with SKIP" in str(error), step.name
             else:
                 assert words[0] == sys.executable, step.name
 
@@ -81,7 +81,7 @@ def test_every_step_needs_its_scene_or_says_what_it_lacks(place: Place) -> None:
 def test_scenes_are_found_in_folders_and_as_files(place: Place, balls: Path) -> None:
     brought = Place(place.results, place.work, place.python, "cuda", (balls / "lego.npz",))
     assert steps.packed_scene(brought, "lego") == balls / "lego.npz"
-    with pytest.raises(LeftOutError, match=r"no spot_soft.npz was brought \(scripts/gpu_pack.sh\)"):
+    with pytest.raises(LeftOutError, match=r"no spot_soft.npz was not packed \(scripts/gpu_pack.sh\)"):
         steps.packed_scene(brought, "spot_soft")
     assert steps.packed_scene(replace(brought, brought=(balls,)), "spot_soft") == balls / "spot_soft.npz"
 

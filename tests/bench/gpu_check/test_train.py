@@ -37,8 +37,8 @@ def test_twins(capsys: pytest.CaptureFixture[str]) -> None:
     [
         ([facts(gaussians="c")], r"NOT the same bytes as first: splats_3d.ply$"),
         ([{**facts(), "sha256": {"splats_2d.ply": "a"}}], r"NOT the same bytes as first: splats_3d.ply$"),
-        ([facts(reason="deadline")], "not compared: a training that its limit of time ended"),
-        ([], "first left no row"),
+        ([facts(reason="deadline")], "not compared, because a training stopped by its time limit"),
+        ([], "first has no row"),
     ],
 )
 def test_no_twins(other: list[dict[str, Any]], message: str) -> None:

@@ -8,7 +8,7 @@ export interface CurvePoint {
   stage: string;
   iteration: number;
   loss: number | null;
-  /** dB on held-back views. */
+  /** The PSNR on held-out views, in dB. */
   psnr: number | null;
 }
 
@@ -140,6 +140,6 @@ export interface Options {
   presets: Record<string, Record<string, string>>;
   methods: Record<string, Record<string, string>>;
   settings: Record<string, SettingSchema>;
-  /** Bytes that an archive may have. */
+  /** The most bytes of an archive. */
   max_upload: number;
 }

@@ -22,7 +22,7 @@ export function confirmed(title: string, text: string, yes: string): Promise<boo
       h(
         "div",
         { class: "actions" },
-        h("button", { value: "no", autofocus: true }, "Keep it"),
+        h("button", { value: "no", autofocus: true }, "Keep"),
         h("button", { value: "yes", class: "danger" }, yes),
       ),
     );

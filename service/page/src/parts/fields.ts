@@ -53,7 +53,7 @@ function choice(label: string, note: string, names: string[], optional: boolean,
       if (input.value === NONE) return null;
       return isSwitch ? SWITCH[input.value]! : input.value;
     },
-    setUsual: (value) => (usual.textContent = `${words[shown(value)] ?? shown(value)} (usual)`),
+    setUsual: (value) => (usual.textContent = `${words[shown(value)] ?? shown(value)} (default)`),
   };
 }
 

@@ -49,7 +49,7 @@ function originOf(file: ArrayBuffer): Vector3 {
   if (text === undefined) return new Vector3();
   const values = text.trim().split(/\s+/).map(Number);
   if (values.length !== 3 || !values.every(Number.isFinite)) {
-    throw new Error(`the splats' origin should be three finite numbers, not "${text.slice(0, 80)}"`);
+    throw new Error(`the splats' origin: expected three finite numbers, got "${text.slice(0, 80)}"`);
   }
   return new Vector3().fromArray(values);
 }

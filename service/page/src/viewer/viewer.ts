@@ -13,7 +13,7 @@ export type Shown = "mesh" | "splats" | "both";
 
 const SHOWN: Record<Shown, string> = { mesh: "Mesh", splats: "Splats", both: "Side by side" };
 const SURFACES: Record<Surface, string> = { colour: "Colour", clay: "Clay", normals: "Normals", wireframe: "Wireframe" };
-const HINT = "Drag or arrow keys: turn. Wheel, pinch, plus and minus: zoom. Right button, two fingers, or Shift and arrows: move. Home: back.";
+const HINT = "Turn: drag or arrow keys. Zoom: wheel, pinch, plus or minus. Move: right button, two fingers, or Shift and arrow keys. Reset: Home.";
 const FIELD = 40; // degrees
 const FIRST_DIRECTION = new Vector3(0.55, 0.4, 1).normalize();
 // More pixels than that are not seen, but cost.
@@ -34,7 +34,7 @@ export class Viewer {
   private readonly meshScene = new Scene();
   private readonly splatScene = new Scene();
   private readonly watcher: ResizeObserver;
-  private readonly divider = h("input", { type: "range", min: 0, max: 100, value: 50, "aria-label": "Where mesh and splats meet", class: "divider" });
+  private readonly divider = h("input", { type: "range", min: 0, max: 100, value: 50, "aria-label": "Divider between mesh and splats", class: "divider" });
   private readonly hint = h("p", { class: "note hint", id: newId() }, HINT);
   private readonly line = h("div", { class: "line" });
   private splats: SplatObject | null = null;
@@ -78,7 +78,7 @@ export class Viewer {
     const canvas = this.renderer.domElement;
     canvas.tabIndex = 0;
     canvas.setAttribute("role", "application");
-    canvas.setAttribute("aria-label", "Three-dimensional view");
+    canvas.setAttribute("aria-label", "3D view");
     canvas.setAttribute("aria-describedby", this.hint.id);
     this.divider.addEventListener("input", () => this.draw());
     return h("div", { class: "tile stage" }, canvas, this.line, this.divider);
@@ -88,7 +88,7 @@ export class Viewer {
     const names = splatFile === null ? { mesh: SHOWN.mesh } : SHOWN;
     const shown = radios("Show", names, "mesh", (value) => void this.choose(value, splatFile));
     const surface = radios("Surface", SURFACES, "colour", (value) => this.setSurface(value));
-    const home = h("button", { type: "button", onclick: () => this.home() }, "Reset the view");
+    const home = h("button", { type: "button", onclick: () => this.home() }, "Reset view");
     return h("div", { class: "toolbar" }, splatFile !== null && shown, surface, home);
   }
 

@@ -14,10 +14,10 @@ const ABOUT: Record<string, string> = {
   "environment.exr": "The light around the object, to render it in",
   "mesh.obj": "Mesh for older programs",
   "mesh.ply": "Mesh in the frame of your cameras",
-  "splats_3d.ply": "3D Gaussians, for splat viewers",
-  "splats_2d.ply": "Flat Gaussians (surfels), for splat viewers",
-  "report.html": "The report, one file that needs nothing else",
-  "report.json": "The report's figures, for programs",
+  "splats_3d.ply": "Gaussians for splat viewers",
+  "splats_2d.ply": "Surfels for splat viewers",
+  "report.html": "The report, a single file",
+  "report.json": "The figures of the report, for programs",
 };
 
 /** The section of all files. */

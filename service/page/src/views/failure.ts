@@ -13,20 +13,20 @@ export function failureCard(service: Service, job: Job): HTMLElement {
 }
 
 function cancelled(): HTMLElement {
-  return h("div", { class: "notice" }, h("p", { class: "headline" }, "The job was cancelled."), h("p", {}, "Retry goes on where it stopped."));
+  return h("div", { class: "notice" }, h("p", { class: "headline" }, "The job was cancelled."), h("p", {}, "A retry continues where it stopped."));
 }
 
 function failed(job: Job): HTMLElement {
   const { code, message, retryable, peak_memory_bytes: peak } = job.error!;
   const cure = retryable
-    ? "Retry goes on from the last checkpoint."
-    : "The same capture would fail again: mend it, and submit it anew.";
+    ? "A retry continues from the last checkpoint."
+    : "The same capture would fail again. Fix it, and submit it again.";
   return h(
     "div",
     { class: "notice bad" },
     h("p", { class: "headline" }, troubleWord(code) ?? "The job failed."),
     h("p", {}, message),
     h("p", {}, cure),
-    h("p", { class: "note" }, `Code: ${code}`, peak === null ? null : ` · most memory used: ${bytes(peak)}`),
+    h("p", { class: "note" }, `Code: ${code}`, peak === null ? null : ` · peak memory: ${bytes(peak)}`),
   );
 }

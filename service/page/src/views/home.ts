@@ -23,7 +23,7 @@ export function homeView(service: Service, options: Options, tray: UploadTray): 
       "div",
       { class: "intro" },
       h("h1", {}, "Surfaces from photographs"),
-      h("p", { class: "lead" }, "Photographs or a video in; a mesh, splats and clean renders out."),
+      h("p", { class: "lead" }, "MGSR turns photographs or a video into a mesh, splats and clean renders."),
     ),
     picker.element,
     listing.element,
@@ -109,11 +109,11 @@ class Picker {
   }
 
   private refusal(capture: Capture | null): string | null {
-    if (this.tray.busy) return "An upload is under way. Wait for its end, or cancel it.";
-    if (capture === null) return "There were no files in it. Choose photographs, a video, a folder of photographs, or an archive.";
+    if (this.tray.busy) return "An upload is in progress. Wait until it ends, or cancel it.";
+    if (capture === null) return "The folder has no files. Choose photographs, a video, a folder of photographs, or an archive.";
     if (capture.archive.size <= this.options.max_upload) return null;
     const [has, limit] = [bytes(capture.archive.size), bytes(this.options.max_upload)];
-    return `This has ${has}; the service takes at most ${limit}. Use smaller or fewer images.`;
+    return `This capture has ${has}, but the service accepts at most ${limit}. Use smaller or fewer images.`;
   }
 
   private ask(capture: Capture): void {

@@ -159,7 +159,7 @@ class JobView {
   }
 
   private async remove(job: Job): Promise<void> {
-    const text = "The photographs and all results of this job will be deleted. There is no way back.";
+    const text = "This deletes the photographs and all results of the job. You cannot undo it.";
     if (!(await confirmed(`Delete ${job.name ?? "this job"}?`, text, "Delete"))) return;
     await this.service.remove(this.id);
     announce("Deleted");

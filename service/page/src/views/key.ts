@@ -23,13 +23,13 @@ export function askForKey(service: Service, wrong: boolean, entered: () => void)
   const form = h(
     "form",
     { method: "dialog" },
-    wrong && h("p", { class: "notice bad", role: "alert" }, "The service does not know this key. Check it, and try again."),
+    wrong && h("p", { class: "notice bad", role: "alert" }, "The service does not know this key. Check it and try again."),
     h("label", { for: id }, "API key"),
     field,
-    h("p", { class: "note", id: `${id}-note` }, "It stays in this browser tab, and is forgotten when you close it."),
+    h("p", { class: "note", id: `${id}-note` }, "The key stays in this browser tab until you close it."),
     h("div", { class: "actions" }, h("button", { class: "main", value: "use" }, "Use this key")),
   );
-  open = openDialog("This service asks for a key", "small", form);
+  open = openDialog("This service needs a key", "small", form);
   open.addEventListener("close", () => {
     const taken = open?.returnValue === "use";
     open = null;

@@ -8,11 +8,11 @@ import { errorBox } from "../parts/notice";
 
 const PARTS = ["", "_transmitted", "_reflected", "_weight"];
 const EVEN = "_even";
-const EVEN_STOP = { at: -200, name: "Even light", note: "The object's own colour without the camera's flash: no shading and no shadows." };
+const EVEN_STOP = { at: -200, name: "Even light", note: "The object's own colour under even light, without the flash's shading and shadows." };
 const STOPS = [
-  { at: -100, name: "Own colour", note: "The object's own colour, the same from every side." },
-  { at: 0, name: "Full", note: "The render: own colour, and reflections added." },
-  { at: 100, name: "Reflections", note: "What the surface mirrors, times the learnt weight that lets it through." },
+  { at: -100, name: "Own colour", note: "The object's own colour: transmitted light without gloss." },
+  { at: 0, name: "Full", note: "The full render: the sum of own colour and reflections." },
+  { at: 100, name: "Reflections", note: "Light from gloss and lamps, times a learned weight." },
 ];
 
 /** Shows one view at a time; the slider goes from own colour (first under even light) over the sum to the reflections. */
@@ -50,7 +50,7 @@ export class LightSplit {
     this.element = h(
       "section",
       { class: "light", "aria-labelledby": "light-title" },
-      h("h2", { id: "light-title" }, "The light, taken apart"),
+      h("h2", { id: "light-title" }, "The light split"),
       this.trouble,
       h(
         "div",
@@ -59,7 +59,7 @@ export class LightSplit {
         h(
           "div",
           {},
-          h("p", {}, "Each render is a sum of two lights. The mesh takes its colours from the first alone, so no highlight is baked into it."),
+          h("p", {}, "Each render is the sum of two lights. The mesh takes its colours from the first alone, so they contain no highlights."),
           h("label", { for: id }, "From own colour to reflections"),
           this.slider,
           h("div", { class: "stops" }, ...stops),
@@ -81,7 +81,7 @@ export class LightSplit {
     const options = views.map((view) => h("option", { value: view }, view.replace(/^renders\/(test\/)?/, "")));
     const choice = h("select", { id }, ...options);
     choice.addEventListener("change", () => void this.load(choice.value));
-    return h("div", { class: "field" }, h("label", { for: id }, "Held-back view"), choice);
+    return h("div", { class: "field" }, h("label", { for: id }, "Held-out view"), choice);
   }
 
   private go(at: number): void {
@@ -111,7 +111,7 @@ export class LightSplit {
     const at = this.slider.valueAsNumber;
     const stop = this.stops.reduce((best, one) => (Math.abs(one.at - at) <= Math.abs(best.at - at) ? one : best));
     this.slider.setAttribute("aria-valuetext", stop.at === at ? stop.name : between(at));
-    this.canvas.setAttribute("aria-label", `A held-back view: ${stop.name.toLowerCase()}`);
+    this.canvas.setAttribute("aria-label", `A held-out view: ${stop.name.toLowerCase()}`);
     setText(this.note, stop.note);
     if (this.layers !== null) paint(this.canvas.getContext("2d")!, this.layers, at / 100);
   }

@@ -16,7 +16,7 @@ export class JobListing {
   readonly element: HTMLElement;
   private readonly rows = new Map<string, Row>();
   private readonly list = h("ul", { class: "jobs" });
-  private readonly empty = h("p", { class: "note" }, "Nothing yet. Your reconstructions will be listed here.");
+  private readonly empty = h("p", { class: "note" }, "You have no jobs yet. Your reconstructions will appear here.");
   private readonly trouble = h("div");
   private readonly more = h("button", { type: "button", hidden: true, onclick: () => this.showMore() }, "Show more");
   private limit = PAGE;

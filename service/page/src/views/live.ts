@@ -15,7 +15,7 @@ export class LivePanel {
   private readonly bar = h("progress", { max: 1, "aria-label": "Progress" });
   private readonly figures = h("dl", { class: "figures" });
   private readonly loss = new Chart({ name: "Loss", unit: "", digits: 4, better: "lower" });
-  private readonly psnr = new Chart({ name: "PSNR on held-back photographs", unit: "dB", digits: 1, better: "higher" });
+  private readonly psnr = new Chart({ name: "PSNR on held-out photographs", unit: "dB", digits: 1, better: "higher" });
   private readonly charts = h("div", { class: "pair" }, this.loss.element, this.psnr.element);
   private readonly gallery: PreviewGallery;
   private shown: Job;
@@ -123,7 +123,7 @@ class PreviewTile {
     private readonly name: string,
   ) {
     const title = PREVIEWS[name] ?? name;
-    this.picture = h("img", { alt: `${title} of a held-back view, so far`, hidden: true });
+    this.picture = h("img", { alt: `${title} of a held-out view, so far`, hidden: true });
     this.element = h("figure", {}, h("div", { class: "tile" }, this.picture), h("figcaption", {}, title));
   }
 

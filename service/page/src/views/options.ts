@@ -7,25 +7,25 @@ import { METHODS, PRESETS } from "../parts/words";
 
 /** The settings that people often want, and what they are called. What the service does not know is left out. */
 const OFTEN: Record<string, { label: string; note: string; words?: Record<string, string> }> = {
-  time_budget: { label: "Time budget, seconds", note: "The run plans itself so that it ends near this." },
-  "data.max_side": { label: "Longest image side, pixels", note: "Larger photographs are shrunk to it." },
+  time_budget: { label: "Time budget, seconds", note: "The run chooses its settings to end near this time." },
+  "data.max_side": { label: "Longest image side, pixels", note: "Larger photographs are reduced to this size." },
   "data.masks": {
     label: "Masks",
-    note: "What lies outside of the object.",
-    words: { auto: "Where there are any", off: "Not used", require: "Every photograph must have one" },
+    note: "What the masks of photographs mean.",
+    words: { auto: "Found out", object: "White is the object", ignore: "Black is ignored", off: "Not used" },
   },
   "train.background": {
     label: "Background",
-    note: "Behind the object, where masks cut it out.",
-    words: { auto: "Chosen for the capture", random: "Random colours", white: "White", black: "Black" },
+    note: "What lies behind the splats in training.",
+    words: { auto: "Chosen automatically", random: "Random colours", white: "White", black: "Black" },
   },
-  "mesh.max_faces": { label: "Most triangles of the mesh", note: "Without: as many as the detail needs." },
+  "mesh.max_faces": { label: "Most triangles of the mesh", note: "The mesh is reduced to this number. none: no limit." },
   "mesh.color": {
     label: "Colours of the mesh",
-    note: "The object's own colour has no highlights baked in.",
+    note: "The object's own colour has no highlights.",
     words: { transmitted: "The object's own colour", full: "As photographed, with reflections" },
   },
-  "mesh.close_holes": { label: "Close holes", note: "Also where no photograph saw the surface." },
+  "mesh.close_holes": { label: "Close holes", note: "The mesh also covers places that no photograph shows." },
   "output.texture": { label: "Texture of the model, pixels a side", note: "Without it, as fine as the photographs." },
 };
 /** What the form asks in its own way. */

@@ -47,7 +47,7 @@ export class ResultsPanel {
         "section",
         { "aria-labelledby": "report-title" },
         h("h2", { id: "report-title" }, "Report"),
-        h("p", {}, "Every test view beside its photograph, the measures, the decisions that were taken, the settings."),
+        h("p", {}, "The report shows every test view beside its photograph, the scores, the decisions and the settings."),
         report !== undefined && reportButton(service, job, report),
       ),
       downloadSection(service, job, artifacts),
@@ -60,8 +60,8 @@ function figures(job: Job): HTMLElement {
   const { psnr_test: psnr, ssim_test: ssim, mesh, seconds } = job.metrics;
   const splats = Object.values(job.metrics.gaussians ?? {}).reduce((sum, value) => sum + value, 0);
   const rows: [string, string | null][] = [
-    ["PSNR, held-back", psnr === undefined ? null : `${psnr.toFixed(1)} dB`],
-    ["SSIM, held-back", ssim === undefined ? null : ssim.toFixed(3)],
+    ["PSNR, held-out", psnr === undefined ? null : `${psnr.toFixed(1)} dB`],
+    ["SSIM, held-out", ssim === undefined ? null : ssim.toFixed(3)],
     ["Triangles", mesh?.faces === undefined ? null : count(mesh.faces)],
     ["Splats", splats > 0 ? count(splats) : null],
     ["Time", spent(seconds)],

@@ -76,7 +76,7 @@ export class SurfaceSection {
       this.viewer = viewer;
       this.stage.replaceWith(viewer.element);
       viewer.focus();
-      announce("The surface is shown in 3D. Arrow keys turn it, plus and minus zoom.");
+      announce("The page shows the surface in 3D. Arrow keys turn it; plus and minus zoom.");
     } catch (error) {
       this.invite();
       this.stage.append(errorBox(error));

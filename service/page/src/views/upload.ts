@@ -62,7 +62,7 @@ export class UploadTray {
         { class: "card tray", tabindex: -1 },
         h("p", {}, h("strong", {}, `Sending ${capture.name}`), words),
         bar,
-        h("button", { type: "button", onclick: () => stop.abort() }, "Cancel the upload"),
+        h("button", { type: "button", onclick: () => stop.abort() }, "Cancel upload"),
       ),
     );
     // The button that had the keyboard's focus is gone. Not to the new one: a second Enter would cancel.
@@ -71,13 +71,13 @@ export class UploadTray {
       const share = Math.min(sent / capture.archive.size, 1);
       const left = ((performance.now() - begun) / 1000 / share) * (1 - share);
       bar.value = share;
-      const rest = share >= 1 ? "the service looks at it" : share > 0.02 ? `${duration(left)} left` : "";
+      const rest = share >= 1 ? "the service checks the upload" : share > 0.02 ? `${duration(left)} left` : "";
       setText(words, [`${percent(share)} of ${bytes(capture.archive.size)}`, rest].filter(Boolean).join(" · "));
     };
   }
 
   private fail(error: unknown, again: () => void): void {
-    const retry = h("button", { type: "button", class: "main", onclick: again }, "Send it again");
+    const retry = h("button", { type: "button", class: "main", onclick: again }, "Send again");
     const close = h("button", { type: "button", onclick: () => this.done() }, "Dismiss");
     this.place.replaceChildren(errorBox(error, retry, close));
   }

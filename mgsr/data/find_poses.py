@@ -37,7 +37,7 @@ def find_poses(
     search = CameraSearch(seed=seed, say=say)
     is_video = photos.is_file() and is_read_video_name(photos)
     if scene.exists() and any(scene.iterdir()):
-        raise ConfigError(f"{scene}: is not empty; name a new folder for the scene")
+        raise ConfigError(f"{scene}: the folder is not empty; choose a new folder for the scene")
     with tempfile.TemporaryDirectory(prefix="mgsr-poses-") as work:
         folder = Path(work, "frames") if is_video else unpack(photos) if photos.is_file() else photos
         if is_video:

@@ -59,7 +59,8 @@ def find_photos(folder: Path, given: Path) -> list[Path]:
     """
     images = images_below(folder)
     if len(images) < FEWEST_PHOTOS:
-        text = f"{given}: it holds {len(images)} images, but at least {FEWEST_PHOTOS} are needed to find cameras; use 20 or more"
+        needed = f"at least {FEWEST_PHOTOS} are needed to find cameras; use 20 or more"
+        text = f"{given}: it holds {len(images)} images, but {needed}"
         raise SceneError("; ".join([text, *_bystanders(folder, images)]))
     return images
 

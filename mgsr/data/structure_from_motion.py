@@ -65,7 +65,7 @@ class SearchFolder:
 def require_pycolmap() -> None:
     """Raise ConfigError where pycolmap is not installed, before any work."""
     if importlib.util.find_spec("pycolmap") is None:
-        raise ConfigError("finding cameras needs pycolmap; install it with `pip install 'mgsr[poses]'`")
+        raise ConfigError("finding cameras requires pycolmap; install it with `pip install 'mgsr[poses]'`")
 
 
 def load_pycolmap() -> Any:
@@ -102,16 +102,19 @@ def find_model(
     model = max(_models(colmap, folder, lenses, frames, search), key=lambda each: each.num_reg_images(), default=None)
     total = sum(len(lens.shots) for lens in lenses)
     count = model.num_reg_images() if model is not None else 0
-    cure = "take more photographs, with more overlap and of a still scene with texture"
+    cure = "take more photographs of a still, textured scene, with more overlap"
     if frames:
         cure = "film again, slower, with more texture in view, and walk around the object"
     elif len(lenses) < total:
         cure += "; if these were zoomed or cropped, try `--set camera_per_image=on`"
-    notes = check_share(count, total, _LEAST_REGISTERED, "could be placed", cure)
+    notes = check_share(count, total, _LEAST_REGISTERED, "have a camera", cure)
     if model is None or count < 2:
-        raise SceneError(f"no photographs could be placed; {cure}")
+        raise SceneError(f"COLMAP found no camera; {cure}")
     error = model.compute_mean_reprojection_error()
-    search.say(f"{count} photographs placed, {model.num_points3D()} points, off by {error:.2f} pixels in the mean")
+    search.say(
+        f"found cameras of {count} photographs and {model.num_points3D()} points; the mean reprojection error is "
+        f"{error:.2f} pixels"
+    )
     return model, (*notes, *zoom_note(colmap, model))
 
 

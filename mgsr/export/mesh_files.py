@@ -81,7 +81,9 @@ def write_textured_glb(
     """Write a mesh with a textured material as binary glTF 2.0.
 
     uvs: [V,2] in 0..1 from the upper left corner of the material's pictures. tangents: [V,4], unit, with the sign of
-    the bitangent. See `glb`; the other arguments and errors as of `write_ply`. Raises MeshError if uvs has another shape.
+    the bitangent. See `glb`; the other arguments and errors as of `write_ply`.
+
+    Raises MeshError if uvs or tangents have another shape.
     """
     check_mesh(mesh)
     for name, array, columns in (("uvs", uvs, 2), ("tangents", tangents, 4)):
@@ -105,6 +107,6 @@ def png_bytes(picture: np.ndarray) -> bytes:
 
 
 def unit_normals(normals: np.ndarray) -> np.ndarray:
-    """Return unit normals, little-endian float32; (0, 0, 1) where folded faces leave none."""
+    """Return unit normals [V,3], little-endian float32; (0, 0, 1) where folded faces leave none."""
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(lengths > 1e-6, normals / np.maximum(lengths, 1e-6), [[0.0, 0.0, 1.0]]).astype("<f4")

@@ -25,6 +25,7 @@ class Rendering:
 
     color [H,W,3] sRGB 0..1, straight (not multiplied by alpha). alpha [H,W] 0..1. depth [H,W] camera z in the user's
     unit, 0 where nothing is. normal [H,W,3] in the capture's axes and towards the camera, zeros where nothing is.
+
     With a light split, color is transmitted + weight * reflected, then divided by alpha. transmitted [H,W,3], straight,
     has no gloss; reflected [H,W,3] is sRGB, weight [H,W] 0..1. All three are None without a light split.
     unlit [H,W,3]: the transmitted colour, or the only one, under even light; None where no flash is known. With a

@@ -29,8 +29,8 @@ def require_usd() -> None:
 def write_usdz(path: Path, mesh: Mesh, uvs: np.ndarray, material: PbrMaterial, up: UpDirection) -> None:
     """Write a mesh with a textured material as a USDZ package, y up.
 
-    Arguments and errors as of `write_textured_glb`. Positions are about the mesh's middle, to which a transform moves
-    them. Raises MgsrError if usd-core is not installed.
+    uvs [V,2], and the other arguments and errors as of `write_textured_glb`. Positions are about the mesh's middle, to
+    which a transform moves them. Raises MgsrError if usd-core is not installed.
     """
     check_mesh(mesh)
     require_usd()

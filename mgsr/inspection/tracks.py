@@ -30,7 +30,7 @@ class Tracks:
     pixels: np.ndarray
 
     def reprojection(self, cameras: Sequence[Camera]) -> np.ndarray:
-        """Return each photograph's median distance, pixels, from its observations to the points; NaN without any."""
+        """Return each photograph's median distance [V] from its observations to the points, pixels; NaN without."""
         medians = np.full(len(cameras), np.nan)
         for index, camera in enumerate(cameras):
             mine = self.of_photo == index

@@ -27,9 +27,13 @@ class Camera(Protocol):
     """
 
     @property
-    def K(self) -> np.ndarray: ...  # noqa: N802
+    def K(self) -> np.ndarray:  # noqa: N802
+        """Return the intrinsics [3,3]."""
+
     @property
-    def cam_from_world(self) -> np.ndarray: ...
+    def cam_from_world(self) -> np.ndarray:
+        """Return the pose [4,4]."""
+
     @property
     def width(self) -> int: ...
     @property

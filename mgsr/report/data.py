@@ -176,7 +176,9 @@ class ReportData:
 
     seconds: by step and stage, with `total`. gaussians: splats by branch. gt: scores against the true surface by
     name, in the units of `mgsr.metrics`; None where no truth lies beside the scene. Fields with the default None stand
-    in report.json only where the run has them. light: the kind of light in the photographs. start_kept: whether the
+    in report.json only where the run has them.
+
+    light: the kind of light in the photographs. start_kept: whether the
     surface on which training began replaced the trained one. mesh_steps: by name, in their order. settings: the whole
     `Config` as plain types. psnr_fg_test, psnr_fg_gain_test: PSNR, dB, on the object's pixels, as they are and after
     the best gain of each channel. psnr_whole_test: PSNR, dB, of the object before its background. views: the scores of

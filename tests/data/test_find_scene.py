@@ -131,7 +131,7 @@ def test_depth_maps_of_the_same_names_are_no_photographs(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("walk.avi", "x", r"walk\.avi: a video of a kind that is not read; convert it with `ffmpeg"),
+        ("walk.avi", "x", r"walk\.avi is a video of a kind that is not read; convert it with `ffmpeg"),
         ("walk.mp4", "x", r"walk\.mp4: expected an MP4, MOV, WebM or Matroska video"),
         ("a.png", "x", r"a\.png: this is a single photograph; use the folder"),
         ("scene.zip", LFS, r"scene\.zip is a pointer of Git LFS, not the file itself; .*`git lfs pull`"),

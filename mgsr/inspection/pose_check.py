@@ -17,6 +17,7 @@ from mgsr.inspection.verdicts import Judged, Verdict, usual_residual
 CLUSTER = 3  # photographs of a cluster that has a copy of the structure to itself
 _LEAST_CONTRADICTIONS = 2  # pairs that must hold against a photograph or a cluster
 _ACCUSED = 0.5  # share of a cluster that must be in such pairs; a part that repeats elsewhere puts few there
+_MAJORITY = 0.5  # share of the decided photographs that the largest group must have to accuse others
 _MANY = 0.1  # share of the photographs with contradictory poses that is an error
 _INACCURATE = 1.5  # pixels of the images of the features, median of all photographs
 _REPEATED = 0.15  # pairs that contradict, in proportion to those that agree, inside one group
@@ -41,7 +42,12 @@ class PoseGroups:
 
     @property
     def contradictory(self) -> np.ndarray:
-        """Return which photographs have poses that contradict those of the largest group, [V] bool."""
+        """Return which photographs have poses that contradict those of the largest group, [V] bool.
+
+        The largest group accuses nobody unless most of the decided photographs are in it.
+        """
+        if (self.group == 0).sum() < _MAJORITY * self.decided.sum():
+            return np.zeros(len(self.group), bool)
         against = np.bincount(self.group, weights=self.contradictions)
         least = np.maximum(_LEAST_CONTRADICTIONS, np.bincount(self.group))
         accused = np.bincount(self.group, weights=self.contradictions > 0) / np.bincount(self.group)

@@ -10,7 +10,7 @@ import pytest
 
 from mgsr.inspection.features import Features, match
 from mgsr.inspection.pairs import FEWEST, Pair, epipolar_residuals, fundamental_matrix
-from mgsr.inspection.pose_check import group_by_pose
+from mgsr.inspection.pose_check import PoseGroups, group_by_pose
 from mgsr.inspection.tracks import find_tracks
 from mgsr.inspection.verdicts import Judged, Verdict, judge
 from tests.inspection.room import ring_camera
@@ -102,3 +102,12 @@ def test_a_camera_that_moved_along_its_epipolar_lines_is_told() -> None:
             pairs.append(Pair(one, other, matches, np.ones(40, bool), residuals, np.zeros(40, bool), 0, 1.0))
         assert pairs[1].residual < 1e-6
         assert judge(cameras, found[:3], pairs).verdicts[1] is verdict
+
+
+def test_a_small_group_accuses_nobody() -> None:
+    """Check it on a capture of few matches: four photographs agree, eight others are decided otherwise."""
+    group = np.array([0, 0, 0, 0, 1, 1, 2, 2, 3, 3, 4, 5])
+    contradictions = np.array([0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2, 2])
+    assert not PoseGroups(group, contradictions, np.ones(12, bool)).contradictory.any()
+    most = np.array([0] * 8 + [1, 1, 2, 3])
+    assert PoseGroups(most, contradictions, np.ones(12, bool)).contradictory.tolist() == [False] * 10 + [True] * 2

@@ -164,7 +164,7 @@ def choose_frames_of(
 def lenses_of(shots: Sequence[PhotoFile], camera_per_image: bool, search: CameraSearch) -> list[SharedLens]:
     """Return the lenses of the photographs, and say how many there are."""
     if camera_per_image:
-        search.say("a camera for each photograph")
+        search.say("a separate camera for each photograph")
         return [SharedLens((shot,)) for shot in shots]
     lenses = share_lenses(shots)
     search.say(describe_lenses(lenses))

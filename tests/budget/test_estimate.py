@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mgsr.budget.costs import Facts
+from mgsr.budget.costs import Facts, closing_cost
 from mgsr.budget.estimate import Estimate, Speed, estimate_run
 from mgsr.config import PRESETS, Config, make_config
 from mgsr.data.readers import load_scene
@@ -36,6 +36,13 @@ def estimated(row: dict[str, str]) -> Estimate:
     return estimate_run(row["preset"], facts, make_config(row["preset"]), Speed(1.0, 1.0), {})
 
 
+def _textured(row: dict[str, str]) -> float:
+    """Return the seconds that the estimate has for the textured model."""
+    views, tests, side = SCENES[row["scene"]]
+    facts = Facts(views, tests, side * side, truth=True)
+    return closing_cost(facts) - (0.8 + 0.2 * tests * facts.size)
+
+
 def test_there_are_runs_to_compare_with() -> None:
     assert {row["preset"] for row in measured()} == set(PRESETS) and len(measured()) > 10
 
@@ -48,11 +55,11 @@ def test_memory_is_near_that_of_measured_runs(row: dict[str, str]) -> None:
 def test_seconds_are_in_proportion_to_those_of_measured_runs() -> None:
     """Check that one speed explains the runs of a commit, which were made in one go on one machine.
 
-    Training that converges early takes less than planned.
+    Training that converges early takes less than planned. The measured runs made no textured model.
     """
     ratios: dict[str, list[float]] = {}
     for row in measured():
-        ratios.setdefault(row["commit"], []).append(estimated(row).seconds / float(row["seconds"]))
+        ratios.setdefault(row["commit"], []).append((estimated(row).seconds - _textured(row)) / float(row["seconds"]))
     assert sum(len(found) for found in ratios.values() if len(found) > 2) > 15
     assert all(max(found) / min(found) < 1.95 for found in ratios.values())
 

@@ -259,7 +259,7 @@ def test_a_row_that_memory_does_not_hold_is_refused_with_the_cure(
 ) -> None:
     places = short(lambda *now: now[0] == 5 and now[2] == backward)
     with pytest.raises(
-        GpuError, match=r"memory does not hold \d+ pairs .* in 1 row.*80\.00 GiB.*fewer or smaller splats"
+        GpuError, match=r"memory cannot hold \d+ pairs .* in 1 row.*80\.00 GiB.*fewer or smaller splats"
     ):
         render(places, kind)
     assert places.raised == 3  # 6, 3 and 1 rows
@@ -272,7 +272,7 @@ def test_memory_that_does_not_hold_the_counts_is_refused(
         raise torch.OutOfMemoryError("CUDA out of memory")
 
     monkeypatch.setattr(bands, "_counted", full)
-    with pytest.raises(GpuError, match=r"memory does not hold \d+ pairs .* in 6 row.*fewer or smaller splats"):
+    with pytest.raises(GpuError, match=r"memory cannot hold \d+ pairs .* in 6 row.*fewer or smaller splats"):
         render(short(lambda *now: True), "single")
 
 
@@ -292,7 +292,7 @@ def test_more_pairs_in_a_row_than_numbers_are_refused_with_the_cure(
     machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bands, "MAX_PAIRS", 3)
-    with pytest.raises(GpuError, match=r"a row of tiles .* pairs .* more than 3: .*fewer or smaller splats"):
+    with pytest.raises(GpuError, match=r"a row of tiles .* pairs .* more than the limit of 3; .*fewer or smaller splats"):
         render(machine, "single")
 
 

@@ -299,7 +299,7 @@ def test_realitycapture_paths_of_another_machine_and_other_tables(tmp_path: Path
     ("text", "message"),
     [
         (HEADER + "\n", "export.csv: the table has no rows; align the photographs"),
-        (HEADER.replace(",", ";"), r"export\.csv: separated by commas, got #name;x;y;alt"),
+        (HEADER.replace(",", ";"), r"export\.csv: expected the columns .*, separated by commas, got #name;x;y;alt"),
         ("#cameras 1\n#name,x,y,alt\na,0,0,1\n", r"expected the columns #name,x,.* got #name,x,y,alt; .*External"),
     ],
 )

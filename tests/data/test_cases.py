@@ -47,7 +47,7 @@ CASES = [
         "02_other_extension_colmap",
         "colmap",
         12,
-        (r"12 of 12 photographs have other extensions than .* \(images/IMG_0000\.png is read for IMG_0000\.JPG",),
+        (r"12 of 12 photographs have other extensions than .*; images/IMG_0000\.png is read for IMG_0000\.JPG",),
         "02_other_extension_colmap/sparse/0",
         masked=True,
     ),

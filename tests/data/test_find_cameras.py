@@ -122,7 +122,7 @@ def test_converted_photographs_keep_their_names(tmp_path: Path) -> None:
 def test_pictures_without_texture_say_how_many_and_leave_nothing(tmp_path: Path) -> None:
     for number in range(4):
         draw(tmp_path / f"photos/{number}.png")
-    with pytest.raises(SceneError, match="only 0 of 4 photographs could be placed; take more photographs, with more"):
+    with pytest.raises(SceneError, match="only 0 of 4 photographs have a camera; take more photographs of a still, textured scene"):
         load_scene(tmp_path / "photos", search=CameraSearch(tmp_path / "out/cameras"))
     assert not (tmp_path / "out/cameras").exists()
 
@@ -131,7 +131,7 @@ def test_without_pycolmap_the_extra_is_named(tmp_path: Path, monkeypatch: pytest
     for number in range(3):
         draw(tmp_path / f"photos/{number}.png")
     monkeypatch.setitem(importlib.import_module("sys").modules, "pycolmap", None)
-    with pytest.raises(ConfigError, match=r"needs pycolmap; install it with `pip install 'mgsr\[poses\]'`"):
+    with pytest.raises(ConfigError, match=r"requires pycolmap; install it with `pip install 'mgsr\[poses\]'`"):
         load_scene(tmp_path / "photos", search=CameraSearch(tmp_path / "cameras"))
     assert not (tmp_path / "cameras").exists()
 
@@ -146,7 +146,7 @@ def test_results_without_cameras(tmp_path: Path) -> None:
 def test_what_counts_as_a_capture_without_cameras(tmp_path: Path) -> None:
     draw(tmp_path / "two/a.png")
     draw(tmp_path / "two/b.png")
-    with pytest.raises(SceneError, match="2 images, but no cameras; at least 3 are needed to find cameras"):
+    with pytest.raises(SceneError, match="it holds 2 images but no cameras; at least 3 are needed to find cameras"):
         find_capture(tmp_path / "two")
     film(tmp_path / "two/walk.mp4", [np.zeros((48, 64, 3), np.uint8)])
     found = find_capture(tmp_path / "two")

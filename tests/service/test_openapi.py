@@ -132,7 +132,7 @@ def test_options_tell_everything_that_users_set(stack: Stack) -> None:
     found = stack.http.get("/options").json()
     assert set(found["presets"]) == {"draft", "standard", "high"} and set(found["methods"]) == {"mgsr", "2dgs", "3dgs"}
     assert found["settings"]["mesh.max_faces"] == {
-        "description": "decimate to this many; none is off",
+        "description": "The mesh is decimated to this many faces. none: off.",
         "anyOf": [{"type": "integer", "minimum": 0}, {"type": "null"}],
         "default": None,
     }

@@ -155,7 +155,7 @@ def test_what_is_malformed_is_refused(strict: Stack, kind: str, body: bytes, sta
         ({"data.max_side": -1}, "at least 0"),
         ({"data.masks": "maybe"}, "auto, object, ignore, off"),
         ({"every": 3}, "ambiguous"),
-        ({"train.volumes.max_start": 9}, "write 'train.gaussians.max_start'"),
+        ({"train.volumes.max_start": 9}, "use 'train.gaussians.max_start'"),
         ({"train.paper.tv": 1}, "true or false"),
     ],
 )

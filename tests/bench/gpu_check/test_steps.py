@@ -81,7 +81,7 @@ def test_every_step_needs_its_scene_or_says_what_it_lacks(place: Place) -> None:
 def test_scenes_are_found_in_folders_and_as_files(place: Place, balls: Path) -> None:
     brought = Place(place.results, place.work, place.python, "cuda", (balls / "lego.npz",))
     assert steps.packed_scene(brought, "lego") == balls / "lego.npz"
-    with pytest.raises(LeftOutError, match=r"no spot_soft.npz was not packed \(scripts/gpu_pack.sh\)"):
+    with pytest.raises(LeftOutError, match=r"spot_soft.npz was not packed \(scripts/gpu_pack.sh\)"):
         steps.packed_scene(brought, "spot_soft")
     assert steps.packed_scene(replace(brought, brought=(balls,)), "spot_soft") == balls / "spot_soft.npz"
 

@@ -292,7 +292,9 @@ def test_more_pairs_in_a_row_than_numbers_are_refused_with_the_cure(
     machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bands, "MAX_PAIRS", 3)
-    with pytest.raises(GpuError, match=r"a row of tiles .* pairs .* more than the limit of 3; .*fewer or smaller splats"):
+    with pytest.raises(
+        GpuError, match=r"a row of tiles .* pairs .* more than the limit of 3; .*fewer or smaller splats"
+    ):
         render(machine, "single")
 
 

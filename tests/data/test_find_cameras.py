@@ -122,7 +122,9 @@ def test_converted_photographs_keep_their_names(tmp_path: Path) -> None:
 def test_pictures_without_texture_say_how_many_and_leave_nothing(tmp_path: Path) -> None:
     for number in range(4):
         draw(tmp_path / f"photos/{number}.png")
-    with pytest.raises(SceneError, match="only 0 of 4 photographs have a camera; take more photographs of a still, textured scene"):
+    with pytest.raises(
+        SceneError, match="only 0 of 4 photographs have a camera; take more photographs of a still, textured scene"
+    ):
         load_scene(tmp_path / "photos", search=CameraSearch(tmp_path / "out/cameras"))
     assert not (tmp_path / "out/cameras").exists()
 

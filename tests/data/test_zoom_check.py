@@ -38,7 +38,9 @@ def test_zoomed_photographs_are_counted_and_the_option_is_named() -> None:
     for image in list(model.images.values())[:3]:
         zoom(image, 1.3)
     (note,) = zoom_note(pycolmap, model)
-    assert note.startswith("3 of 12 photographs do not fit the lens") and note.endswith("with `--set camera_per_image=on`")
+    assert note.startswith("3 of 12 photographs do not fit the lens") and note.endswith(
+        "with `--set camera_per_image=on`"
+    )
 
 
 def test_lenses_of_their_own_may_differ() -> None:

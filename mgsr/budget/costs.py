@@ -127,6 +127,11 @@ def judging_cost(facts: Facts) -> float:
     return (4.0 if facts.truth else 0.1) + 2.0 + 0.3 * min(facts.tests, 6)
 
 
+def textured_cost(facts: Facts) -> float:
+    """Return the seconds that the textured model takes."""
+    return MODEL + 0.05 * facts.views * facts.size
+
+
 def closing_cost(facts: Facts) -> float:
     """Return the seconds that the textured model, the test renders, their scores and the report take."""
-    return MODEL + 0.8 + (0.05 * facts.views + 0.2 * facts.tests) * facts.size
+    return textured_cost(facts) + 0.8 + 0.2 * facts.tests * facts.size

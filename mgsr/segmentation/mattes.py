@@ -89,12 +89,12 @@ def matte(
     known, part = background.known, image[window] / np.float32(255)
     behind, _ = _extended(background.color, known.astype(np.float32))
     variance = np.where(known, NOISE**2 + (SPREAD * background.spread) ** 2, GUESSED**2)
-    as_background = _cost(part - behind, variance)
+    as_background = _cost(_squared(part - behind), variance)
     color, covered = _object_colors(surfels, camera, window)
-    as_object = np.where(covered, _cost(part - color, RENDERED**2), MOST)
+    as_object = np.where(covered, _cost(_squared(part - color), RENDERED**2), MOST)
     tested = np.isfinite(background.behind)
-    as_background = np.where(tested, _measured(background.behind), as_background)
-    as_object = np.where(tested, np.minimum(as_object, _measured(background.above)), as_object)
+    as_background = np.where(tested, _cost(background.behind, GUESSED**2), as_background)
+    as_object = np.where(tested, np.minimum(as_object, _cost(background.above, GUESSED**2)), as_object)
     # Where both costs are equal, the image's edges decide.
     towards = as_background - as_object
     for_object, for_background = np.maximum(towards, 0), np.maximum(-towards, 0)
@@ -106,13 +106,14 @@ def matte(
     return found
 
 
-def _cost(difference: np.ndarray, variance: np.ndarray | float) -> np.ndarray:
-    return np.asarray(np.minimum((difference**2).sum(axis=-1) / (2 * variance), MOST))
+def _squared(difference: np.ndarray) -> np.ndarray:
+    """Return the squared lengths [h,w] of colour differences [h,w,3]."""
+    return np.asarray((difference**2).sum(axis=-1))
 
 
-def _measured(squared: np.ndarray) -> np.ndarray:
+def _cost(squared: np.ndarray, variance: np.ndarray | float) -> np.ndarray:
     """Return the costs [h,w] of squared colour differences [h,w]."""
-    return np.asarray(np.minimum(squared / (2 * GUESSED**2), MOST))
+    return np.asarray(np.minimum(squared / (2 * variance), MOST))
 
 
 def without_small_holes(share: np.ndarray) -> np.ndarray:

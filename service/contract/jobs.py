@@ -25,10 +25,10 @@ from service.contract.store import Store
 # An upload that no job names after so many seconds was cut off together with its service.
 STALE_UPLOAD = 6 * 3600.0
 _END_OF_TIME = 10**13
-# Results that a rerun takes over, files and folders: found cameras, and the object's masks. The worker puts them into
-# the new job's results before it begins.
+# Results that a rerun takes over, files and folders: found cameras, the object's masks, and its background. The worker
+# puts them into the new job's results before it begins.
 FOUND_CAMERAS = ("cameras/",)
-FOUND_OBJECT = ("object.json", "masks/")
+FOUND_OBJECT = ("object.json", "masks/", "splats_background.ply")
 TAKEN_OVER = 0  # the attempt under which they lie
 
 

@@ -92,6 +92,7 @@ class EnvironmentNormalOptions(Options):
 
     max_tilt: Annotated[float, Range(0, 80, open=True)] = 16.0  # degrees; largest tilt on each of two axes
     step: Annotated[float, Range(0, 80, open=True)] = 4.0  # degrees between two tilts
+    fine_step: Annotated[float, Range(0, 80, open=True)] = 1.0  # degrees between two tilts around the best one
     cells: Annotated[int, Range(2)] = 64  # along a side of the map's lookup table; 64 resolve directions to 2 degrees
     min_observations: Count = 5  # photographs that see a point; with fewer, its confidence is 0
     outlier: Positive = 3.0  # deviations at which an observation counts half

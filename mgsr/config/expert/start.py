@@ -30,9 +30,9 @@ class FirstSurfaceOptions(Options):
     flash_coarse: ShadingPass = field(default_factory=lambda: ShadingPass(edge=2.0, rounds=6, reach=160.0))
     flash_fine: ShadingPass = field(default_factory=lambda: ShadingPass(edge=1.5, rounds=3, reach=60.0))
     environment_repeats: Count = 3  # times that the pass environment_coarse is run
-    environment_coarse: ShadingPass = field(default_factory=lambda: ShadingPass(4.0, 2, 240.0, fairing=17.0))
-    environment_medium: ShadingPass = field(default_factory=lambda: ShadingPass(3.0, 2, 240.0, fairing=17.0))
-    environment_fine: ShadingPass = field(default_factory=lambda: ShadingPass(2.0, 2, 120.0, fairing=17.0))
+    environment_coarse: ShadingPass = field(default_factory=lambda: ShadingPass(3.0, 2, 240.0, fairing=17.0))
+    environment_medium: ShadingPass = field(default_factory=lambda: ShadingPass(2.0, 2, 240.0, fairing=17.0))
+    environment_fine: ShadingPass = field(default_factory=lambda: ShadingPass(1.5, 2, 120.0, fairing=17.0))
     environment_last: ShadingPass = field(default_factory=lambda: ShadingPass(1.5, 2, 60.0, fairing=17.0))
 
 

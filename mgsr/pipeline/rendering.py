@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from mgsr.config import Config, MeshColor, SurfaceDepth
+from mgsr.config.expert import MeshOptions
 from mgsr.data.backdrop import WHITE, Color
 from mgsr.data.camera import Camera
 from mgsr.data.images import to_uint8
@@ -25,9 +26,6 @@ from mgsr.renderers.both import render_both
 from mgsr.renderers.gaussians import render_gaussians
 from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
 from mgsr.renderers.surfels import render_surfels
-
-# Masks are reduced to this side for the surface: their outlines are known to a fraction of a pixel.
-MASK_SIDE = 800
 
 
 @dataclass(frozen=True)
@@ -157,11 +155,11 @@ def outlined_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
     return with_masks(scene, masks) if leave_borders_free(masks) else scene
 
 
-def scene_silhouettes(scene: Scene) -> list[Silhouette]:
+def scene_silhouettes(scene: Scene, side: int = MeshOptions().mask_side) -> list[Silhouette]:
     """Return the silhouettes of the training photographs' masks; none where the scene has none."""
     if not scene.masked:
         return []
-    return silhouettes(scene.train, MASK_SIDE)
+    return silhouettes(scene.train, side)
 
 
 def _opacity(model: TrainedModel, camera: Camera) -> np.ndarray:

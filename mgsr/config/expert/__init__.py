@@ -7,6 +7,7 @@ documentation lists them apart from what users set, and `GET /options` leaves th
 from mgsr.config.expert.expert import ExpertConfig
 from mgsr.config.expert.geometry import (
     BilateralOptions,
+    ChartOptions,
     ContourOptions,
     ContourSearchOptions,
     GeometryConfig,
@@ -20,7 +21,18 @@ from mgsr.config.expert.mesh import (
     PullIntoHullOptions,
     RemoveContradictedOptions,
     SurfaceChoiceOptions,
+    TextureOptions,
+    UnwrapOptions,
     ViewFitOptions,
+)
+from mgsr.config.expert.segmentation import (
+    BackgroundRenderOptions,
+    MatteOptions,
+    ObjectSearchOptions,
+    RandomWalkerOptions,
+    SegmentationConfig,
+    SupportPlaneOptions,
+    TolerantHullOptions,
 )
 from mgsr.config.expert.shading import (
     DetailOptions,
@@ -30,6 +42,7 @@ from mgsr.config.expert.shading import (
     EnvironmentResidualOptions,
     FlashFitOptions,
     FlashOptions,
+    GlossOptions,
     IrradianceOptions,
     LightOptions,
     ObservationOptions,
@@ -39,6 +52,7 @@ from mgsr.config.expert.shading import (
     ShadingConfig,
     ShadingOptions,
     ShadingPass,
+    StaticLightOptions,
 )
 from mgsr.config.expert.start import (
     BackgroundPointOptions,
@@ -67,7 +81,9 @@ from mgsr.config.expert.training import (
 
 __all__ = [
     "BackgroundPointOptions",
+    "BackgroundRenderOptions",
     "BilateralOptions",
+    "ChartOptions",
     "ColorOptions",
     "ConsistencyOptions",
     "ContourOptions",
@@ -88,12 +104,15 @@ __all__ = [
     "FlashOptions",
     "FusionOptions",
     "GeometryConfig",
+    "GlossOptions",
     "IrradianceOptions",
     "LightOptions",
     "LowFrequencyOptions",
     "MatchSettings",
+    "MatteOptions",
     "MeshOptions",
     "MeshStepOptions",
+    "ObjectSearchOptions",
     "ObservationOptions",
     "OcclusionOptions",
     "OutlineOptions",
@@ -103,15 +122,22 @@ __all__ = [
     "PointExposureOptions",
     "ProxyModelOptions",
     "PullIntoHullOptions",
+    "RandomWalkerOptions",
     "RemoveContradictedOptions",
     "ResidualOptions",
+    "SegmentationConfig",
     "ShadingConfig",
     "ShadingOptions",
     "ShadingPass",
     "StartConfig",
+    "StaticLightOptions",
     "StereoConfig",
+    "SupportPlaneOptions",
     "SurfaceChoiceOptions",
+    "TextureOptions",
+    "TolerantHullOptions",
     "TrainingOptions",
+    "UnwrapOptions",
     "ViewColorOptions",
     "ViewFitOptions",
 ]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from mgsr.config.expert.geometry import GeometryConfig
 from mgsr.config.expert.mesh import MeshOptions
+from mgsr.config.expert.segmentation import SegmentationConfig
 from mgsr.config.expert.shading import ShadingConfig
 from mgsr.config.expert.start import StartConfig
 from mgsr.config.expert.stereo import StereoConfig
@@ -21,6 +22,7 @@ class ExpertConfig(Options):
     shading: ShadingConfig = field(default_factory=ShadingConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     start: StartConfig = field(default_factory=StartConfig)
+    segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
     densify: DensifyOptions = field(default_factory=DensifyOptions)
     training: TrainingOptions = field(default_factory=TrainingOptions)
     mesh: MeshOptions = field(default_factory=MeshOptions)

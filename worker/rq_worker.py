@@ -47,7 +47,7 @@ class NoPenalty(BaseDeathPenalty):
 
 
 class StopSignals:
-    """The wish to stop, from SIGTERM or SIGINT: a running attempt writes a checkpoint and goes back into the queue.
+    """A request to stop, by SIGTERM or SIGINT: a running attempt writes a checkpoint and goes back into the queue.
 
     An idle worker ends. There is one for the life of the process: RQ's own handlers belong to a worker, and each loss
     of Redis makes a new worker.
@@ -56,7 +56,7 @@ class StopSignals:
     def __init__(self) -> None:
         self.asked = self.busy = False
 
-    def heed_signals(self) -> None:
+    def install_handlers(self) -> None:
         """Install the signal handlers for this process."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._ask)
@@ -119,7 +119,7 @@ def work(queues: list[str], settings: Settings) -> None:
         threading.Thread(target=chore, args=(settings,), daemon=True, name=chore.__name__).start()
     stop = StopSignals()
     with suppress(StopRequested):
-        stop.heed_signals()
+        stop.install_handlers()
         while not stop.asked:
             try:
                 MgsrWorker(queues, settings, stop).work(logging_level="WARNING")

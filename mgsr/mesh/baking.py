@@ -12,6 +12,7 @@ from mgsr.config import MeshConfig
 from mgsr.config.expert import ColorOptions, TextureOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster, RayHits
+from mgsr.geometry.triangles import unit_vectors
 from mgsr.mesh.colors import seen_colors
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.mesh.unwrap import UnwrappedMesh
@@ -67,8 +68,8 @@ def find_texels(unwrapped: UnwrappedMesh, full: Mesh, same_side: float = Texture
     places = _interpolated(unwrapped.vertices, unwrapped.faces[face], shares)
     nearest, at = full.caster.nearest(places)
     points = _interpolated(full.vertices, full.faces[nearest], at)
-    normals = _unit(_interpolated(full.normals, full.faces[nearest], at))
-    own = _unit(_interpolated(unwrapped.normals, unwrapped.faces[face], shares))
+    normals = unit_vectors(_interpolated(full.normals, full.faces[nearest], at))
+    own = unit_vectors(_interpolated(unwrapped.normals, unwrapped.faces[face], shares))
     alike = (normals * own).sum(axis=1, keepdims=True) > same_side
     return Texels(unwrapped.size, index, face, shares, points, np.where(alike, normals, own))
 
@@ -112,7 +113,7 @@ def bake_normals(texels: Texels, unwrapped: UnwrappedMesh, min_z: float = Textur
         frame = np.einsum("pkij,pk->pij", axes[unwrapped.faces[texels.face[part]]], texels.shares[part])
         turned = np.linalg.solve(frame + 1e-9 * np.eye(3), texels.normals[part][..., None])[..., 0]
         turned[turned[:, 2] < min_z, 2] = min_z
-        baked[part] = _unit(turned)
+        baked[part] = unit_vectors(turned)
     return baked
 
 
@@ -155,7 +156,3 @@ def _interpolated(values: np.ndarray, corners: np.ndarray, shares: np.ndarray) -
     """Interpolate vertex values [V,C] in triangles; corners [P,3]: vertex indices; shares [P,3]: barycentric."""
     blended: np.ndarray = np.einsum("pkc,pk->pc", values[corners], shares)
     return blended
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))

@@ -147,12 +147,14 @@ def steps_term(maps: Tensor) -> Term:
 
 
 def _absolute(alpha: Tensor, mask: Tensor) -> tuple[float, Tensor]:
+    """Return the sum of |alpha - mask| over pixels [H,W], and its derivative [H,W]."""
     difference = alpha - mask
     slopes = difference.sign()
     return float(difference.reshape(-1) @ slopes.reshape(-1)), slopes
 
 
 def _cross_entropy(alpha: Tensor, mask: Tensor) -> tuple[float, Tensor]:
+    """Return the sum of the cross entropy of alpha and a mask [H,W], and its derivative [H,W]."""
     inside = alpha.clamp(LEAST, 1 - LEAST)
     total = torch.nn.functional.binary_cross_entropy(inside, mask, reduction="sum")
     slopes = (inside - mask) / (inside * (1 - inside))

@@ -113,7 +113,7 @@ def _try_roughnesses(
 ) -> list[tuple[float, float, np.ndarray]]:
     """Return roughnesses in ascending order, each with the deviation of values [Q] and its light [2*height^2].
 
-    light [2*height^2]: the first guess. It ends where larger roughnesses explain the photographs worse.
+    light [2*height^2]: the first guess. The search ends once larger roughnesses explain the photographs worse.
     """
     found: list[tuple[float, float, np.ndarray]] = []
     for roughness in ROUGHNESSES:

@@ -36,7 +36,9 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(scene: Path, out: Path, *more: str) -> dict[str, Any]:
-    result = CliRunner().invoke(worker_app, ["run", str(scene), "-o", str(out), *SHORT, *more])
+    result = CliRunner().invoke(
+        worker_app, ["run", str(scene), "-o", str(out), *SHORT, "--set", "exposure=auto", *more]
+    )
     assert result.exit_code == 0, result.output
     report: dict[str, Any] = json.loads((out / "report.json").read_text())
     return report

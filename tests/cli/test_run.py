@@ -37,7 +37,7 @@ from tests.optional import present
 SHORT = [
     *("--preset", "draft", "--set", "surfel_iterations=80", "--set", "gaussian_iterations=80"),
     *("--set", "mutual.iterations=60", "--set", "surfels.max_start=1500", "--set", "gaussians.max_start=1500"),
-    *("--set", "poisson_depth=6"),
+    *("--set", "poisson_depth=6", "--set", "exposure=keep"),
 ]
 SUFFIXES = ["", "_transmitted", "_reflected", "_weight", "_depth", "_normal"]
 

@@ -14,7 +14,7 @@ from tests.mesh.shapes import cameras_around
 from tests.stereo.pressed_ball import CAP, photographs, with_noise
 
 RADIUS = 0.7
-CAMERAS = cameras_around(60, side=160)
+CAMERAS = cameras_around(32, side=160)
 
 
 def unmasked(views: list[View]) -> list[View]:

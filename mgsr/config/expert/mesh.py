@@ -108,7 +108,8 @@ class MeshOptions(Options):
     mask_side: Annotated[int, Range(16)] = 800  # pixels; longer side of the reduced masks, whose contours are known to
     # a fraction of a pixel
     poisson_margin: Annotated[float, Range(1)] = 1.1  # side of the octree's cube, relative to the points' bounding box
-    confirm_reach: Positive = 2.0  # times the tolerance; a view within it confirms a point: spans the depth noise alone
+    confirm_reach: Positive = 2.0  # times the tolerance; the distance from a view's surface up to which the view
+    # confirms a point, wide enough for the noise of depths
     choice: SurfaceChoiceOptions = field(default_factory=SurfaceChoiceOptions)
     view_fit: ViewFitOptions = field(default_factory=ViewFitOptions)
     colors: ColorOptions = field(default_factory=ColorOptions)

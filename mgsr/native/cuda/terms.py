@@ -219,6 +219,7 @@ class TermKernels:
 
 
 def _partial(like: Tensor) -> Tensor:
+    """Return room for each block's sums [blocks,2] float64 of a tensor [...]."""
     return like.new_empty(-(-like.numel() // THREADS), 2, dtype=torch.float64)
 
 

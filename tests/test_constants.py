@@ -6,7 +6,10 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-PACKAGES = ("densify", "geometry", "mesh", "pipeline", "segmentation", "shading", "start", "stereo", "training")
+PACKAGES = (
+    *("densify", "geometry", "inspection", "mesh", "pipeline"),
+    *("segmentation", "shading", "start", "stereo", "training"),
+)
 ROOT = Path(__file__).resolve().parents[1] / "mgsr"
 
 MATHEMATICS = "mathematics, or a standard"
@@ -23,6 +26,7 @@ REMAINING = {
     "geometry/charts.CELL": FORMAT,
     "geometry/low_frequency.CHUNK": BATCH,
     "geometry/precision._LOSS": MATHEMATICS,
+    "inspection/findings._NAMED": PICTURES,
     "mesh/baking._ROWS_AT_ONCE": BATCH,
     "mesh/baking._TEXELS_AT_ONCE": BATCH,
     "mesh/pixels._ALL": MATHEMATICS,

@@ -99,7 +99,7 @@ def load_again(path: Path, out: Path, config: Config) -> Scene:
     Raises SceneError, also where the cameras are missing.
     """
     search = CameraSearch(folder=out / CAMERAS, known_only=True, seed=config.seed)
-    return without_flawed(load_scene(path, config.data, search=search), config.data)
+    return without_flawed(load_scene(path, config.data, search=search), config)
 
 
 def as_read(scene: Scene, config: Config) -> Config:

@@ -28,7 +28,13 @@ SHORT = [
     "mutual.iterations=20",
     "model_selection.iterations=0",
 ]
-FEW = ["surfels.max_start=4000", "gaussians.max_start=2000", "environment_map.iterations=0", "mesh.poisson_depth=6"]
+FEW = [
+    *("search.iterations=250", "exposure=keep"),
+    "surfels.max_start=4000",
+    "gaussians.max_start=2000",
+    "environment_map.iterations=0",
+    "mesh.poisson_depth=6",
+]
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from mgsr.config.expert.geometry import GeometryConfig
+from mgsr.config.expert.inspection import InspectionConfig
 from mgsr.config.expert.mesh import MeshOptions
 from mgsr.config.expert.segmentation import SegmentationConfig
 from mgsr.config.expert.shading import ShadingConfig
@@ -18,6 +19,7 @@ from mgsr.config.options import Options
 class ExpertConfig(Options):
     """The options of all algorithms, by the package of the algorithm."""
 
+    inspection: InspectionConfig = field(default_factory=InspectionConfig)
     geometry: GeometryConfig = field(default_factory=GeometryConfig)
     shading: ShadingConfig = field(default_factory=ShadingConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)

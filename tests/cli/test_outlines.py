@@ -15,6 +15,8 @@ from program.worker import app as worker_app
 from tests.cli.spheres import SPHERES, write_spheres
 from tests.cli.test_run import SHORT
 
+pytestmark = pytest.mark.usefixtures("grainy_pictures")
+
 FEWER = ["--set", "rough_iterations=400", "--set", "outlines.iterations=500"]  # enough for spheres
 
 

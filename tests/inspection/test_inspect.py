@@ -180,9 +180,8 @@ def test_a_real_capture_with_a_doubled_cluster(shared_data: Path) -> None:
 
 def test_options_reach_the_checks(room: Room) -> None:
     scene = room_scene(room.views)
-    strict = InspectionConfig(
-        photos=PhotoCheckOptions(small_side=10_000.0), coverage=CoverageOptions(small_angle=180.0)
-    )
+    photos, coverage = PhotoCheckOptions(wide=1.0), CoverageOptions(small_angle=180.0)
+    strict = InspectionConfig(photos=photos, coverage=coverage)
     codes = {finding.code for finding in inspect_scene(scene, options=strict).findings}
     assert {Code.WIDE_LENS, Code.LITTLE_PARALLAX} <= codes
     few = inspect_scene(scene, options=InspectionConfig(photographs=5, pairs=PairOptions(min_matches=100_000)))

@@ -22,6 +22,8 @@ from mgsr.pipeline.single_steps import mesh_again, score_again
 from mgsr.pipeline.steps import StepClock, Steps
 from tests.segmentation.table_scene import TABLE, table_scene
 
+pytestmark = pytest.mark.usefixtures("grainy_pictures")
+
 SHORT = [
     "warmup.surfel_iterations=100",
     "warmup.gaussian_iterations=30",

@@ -92,7 +92,7 @@ def project(scene: Scene, dual: bool) -> View:
     )
     view = GaussianView(camera=camera, near=options.near, low_pass=options.low_pass, compensate=options.compensate)
     struct = gaussians.splats_struct(given, view)
-    projected = tiles.project(launcher, "gaussians", gaussians.ProjectParams, struct, torch.empty(len(means)))
+    projected = tiles.project(launcher, "gaussians", gaussians.GaussianProjectParams, struct, torch.empty(len(means)))
     lists = tiles.list_tiles(launcher, projected, projected.whole)
     records = projected.records.numpy()
     whole = np.ascontiguousarray(records[:, :1]).view(np.int16)

@@ -2,7 +2,7 @@
 
 
 class MgsrError(Exception):
-    """Anything that MGSR refuses or can't do; its text is meant for the person who runs it."""
+    """Anything that MGSR refuses or can't do; its text is meant for the user."""
 
     code = "error"
 

@@ -157,7 +157,7 @@ class EventHub:
 
 
 def event_order(text: str) -> tuple[int, int]:
-    """Return an event's id as two numbers; (0, 0) for text that is no id."""
+    """Return an event's id as two numbers; (0, 0) for text that is not an id."""
     if not EVENT_ID.fullmatch(text):
         return (0, 0)
     first, _, second = text.partition("-")

@@ -25,6 +25,14 @@ def shared_data() -> Path:
     return SHARED_DATA
 
 
+@pytest.fixture(scope="module")
+def grainy_pictures() -> Iterator[None]:
+    """Spare a module's runs most rays of the report's pictures, which it does not look at."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mgsr.report.shading.OCCLUSION_RAYS", 1)
+        yield
+
+
 @pytest.fixture
 def kernel_settings_come_back() -> Iterator[None]:
     """Restore the kernels' variant and threads after a test that chooses them."""

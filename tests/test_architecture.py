@@ -185,3 +185,17 @@ def test_the_trainer_loads_without_the_heavy_packages() -> None:
     names = ("open3d", "OpenImageIO", "trimesh", "skimage", "plyfile", "rich", "typer")
     code = f"import sys\nfor name in {names}: sys.modules[name] = None\nimport mgsr.training.run"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, timeout=120)
+
+
+# The service describes what it shares with the library by its own classes, since it does not import the library.
+IN_THE_SERVICE_TOO = {"CurvePoint", "Device"}
+
+
+def test_a_class_name_means_one_thing() -> None:
+    places: dict[str, list[str]] = {}
+    for path in ALL:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name, []).append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    twice = {name: found for name, found in places.items() if len(found) > 1}
+    assert twice.keys() == IN_THE_SERVICE_TOO, twice

@@ -6,36 +6,50 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-PACKAGES = ("densify", "geometry", "mesh", "shading", "start", "stereo", "training")
+PACKAGES = (
+    *("densify", "geometry", "inspection", "mesh", "pipeline"),
+    *("segmentation", "shading", "start", "stereo", "training"),
+)
 ROOT = Path(__file__).resolve().parents[1] / "mgsr"
 
 MATHEMATICS = "mathematics, or a standard"
 BATCH = "how much is handled or kept at a time: it costs memory and time, and changes no result"
 PROGRESS = "shares of a progress bar, and estimates of time"
 FORMAT = "a file's or an array's own form"
+SEARCHED = "the candidates of a search, whose result may lie between them"
+ROUNDING = "how far rounding may move an input"
+PICTURES = "what a report shows"
 SAFETY = "limits that a sound training never meets"
-
-# These make the textured model from the finished surface and the trained splats, and change neither.
-TEXTURED_MODEL = (
-    *("geometry/charts", "mesh/baking", "mesh/texture", "mesh/unwrap"),
-    *("shading/gloss", "shading/static_light"),
-)
 
 REMAINING = {
     "geometry/bilateral_filter.CHUNK": BATCH,
+    "geometry/charts.CELL": FORMAT,
     "geometry/low_frequency.CHUNK": BATCH,
     "geometry/precision._LOSS": MATHEMATICS,
+    "inspection/findings._NAMED": PICTURES,
+    "mesh/baking._ROWS_AT_ONCE": BATCH,
+    "mesh/baking._TEXELS_AT_ONCE": BATCH,
     "mesh/pixels._ALL": MATHEMATICS,
     "mesh/pixels._HEAD": MATHEMATICS,
     "mesh/pixels._TAIL": MATHEMATICS,
     "mesh/steps/step.SHOWN": PROGRESS,
     "mesh/tsdf.BLOCK": BATCH,
+    "pipeline/estimate._RADIUS": PROGRESS,
+    "pipeline/novel_view._RIGID": ROUNDING,
+    "pipeline/report_pictures.MASKS": PICTURES,
+    "pipeline/run_display.LINE_EVERY": PROGRESS,
+    "pipeline/steps.SELDOM": PROGRESS,
+    "pipeline/stop_signals.INTERRUPTED": MATHEMATICS,
+    "segmentation/background.COLUMNS": BATCH,
+    "segmentation/background.SAME": MATHEMATICS,
+    "segmentation/random_walker.STEPS": MATHEMATICS,
     "shading/ambient_occlusion.TURN": MATHEMATICS,
     "shading/details.GREY": MATHEMATICS,
     "shading/environment_normals.CHUNK": BATCH,
     "shading/flash.CHUNK": BATCH,
     "shading/flash._PAIRS": MATHEMATICS,
     "shading/flash._PLACES": MATHEMATICS,
+    "shading/gloss.ROUGHNESSES": SEARCHED,
     "shading/lighting.BAND": BATCH,
     "shading/lighting.GAMMA": MATHEMATICS,
     "start/masked_surface.FAR_SHADED": PROGRESS,
@@ -77,7 +91,6 @@ def test_no_other_constant_decides_a_result() -> None:
         f"{path.relative_to(ROOT).with_suffix('')}.{name}"
         for package in PACKAGES
         for path in (ROOT / package).rglob("*.py")
-        if path.relative_to(ROOT).with_suffix("").as_posix() not in TEXTURED_MODEL
         for name in constants(path)
     }
     assert found - REMAINING.keys() == set(), "make it an option of mgsr/config/expert (docs/contributing.md, Numbers)"

@@ -17,6 +17,8 @@ import mgsr
 from mgsr.cli.main import app
 from tests.cli.spheres import held_out_camera, write_spheres
 
+pytestmark = pytest.mark.usefixtures("grainy_pictures")
+
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = {
     *(
@@ -39,6 +41,8 @@ FEW = {
     "surfel_iterations": 40,
     "gaussian_iterations": 40,
     "mutual.iterations": 30,
+    "gloss.height": 8,
+    "exposure": "keep",
     "surfels.max_start": 1000,
     "gaussians.max_start": 1000,
     "poisson_depth": 5,

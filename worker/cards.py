@@ -58,7 +58,7 @@ def _named_by_nvml() -> list[str]:
 
 
 def _named_by(visible: str) -> list[str]:
-    """Return the devices that CUDA_VISIBLE_DEVICES names, up to the first entry that is no name, where CUDA stops too.
+    """Return the devices that CUDA_VISIBLE_DEVICES names, up to the first entry that is not a name, as CUDA does.
 
     A card in MIG mode stands for its instances. NVML is not needed for the other cards.
     """

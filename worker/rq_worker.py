@@ -46,8 +46,8 @@ class NoPenalty(BaseDeathPenalty):
         """Cancel nothing: no alarm was set."""
 
 
-class StopWish:
-    """The wish to stop, from SIGTERM or SIGINT: a running attempt writes a checkpoint and goes back into the queue.
+class StopSignals:
+    """A request to stop, by SIGTERM or SIGINT: a running attempt writes a checkpoint and goes back into the queue.
 
     An idle worker ends. There is one for the life of the process: RQ's own handlers belong to a worker, and each loss
     of Redis makes a new worker.
@@ -56,7 +56,7 @@ class StopWish:
     def __init__(self) -> None:
         self.asked = self.busy = False
 
-    def heed_signals(self) -> None:
+    def install_handlers(self) -> None:
         """Install the signal handlers for this process."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._ask)
@@ -77,7 +77,7 @@ class MgsrWorker(SimpleWorker):
     max_connection_wait_time = 2.0
     log_result_lifespan = False
 
-    def __init__(self, queues: list[str], settings: Settings, stop: StopWish) -> None:
+    def __init__(self, queues: list[str], settings: Settings, stop: StopSignals) -> None:
         url = settings.need_redis()
         # Two clients: RQ raises the time-out of its own, so that it can wait for jobs; leases must not wait so long.
         connection = connect(url)
@@ -106,7 +106,7 @@ class MgsrWorker(SimpleWorker):
             raise StopRequested
 
     def _install_signal_handlers(self) -> None:
-        """Install no handlers of its own (see StopWish)."""
+        """Install no handlers of its own (see StopSignals)."""
 
     def handle_exception(self, job: Job, *exc_info: Any) -> None:
         """Log what should not have happened; recovery puts the round back."""
@@ -117,9 +117,9 @@ def work(queues: list[str], settings: Settings) -> None:
     """Take jobs until SIGTERM or SIGINT, across restarts of Redis."""
     for chore in (_keep_house, _send_post):
         threading.Thread(target=chore, args=(settings,), daemon=True, name=chore.__name__).start()
-    stop = StopWish()
+    stop = StopSignals()
     with suppress(StopRequested):
-        stop.heed_signals()
+        stop.install_handlers()
         while not stop.asked:
             try:
                 MgsrWorker(queues, settings, stop).work(logging_level="WARNING")

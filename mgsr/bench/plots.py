@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TEXT, GRID = "#767676", "#76767640"
-# Each at least 3 : 1 against white and against a page of #0d1117; tests/bench holds them to it.
+# Each at least 3 : 1 against white and against a page of #0d1117; tests/bench checks this.
 COLORS = {"mgsr": "#2f7ed8", "2dgs": "#d9622b", "3dgs": "#1f9a6d"}
 OTHER = "#a35bd0"
 MARKERS = {"draft": "v", "standard": "o", "high": "^"}
@@ -103,7 +103,7 @@ def memory(folder: Path, rows: Sequence[Row]) -> Path:
 
 
 def plot_style() -> AbstractContextManager[None]:
-    """Apply our style on top of matplotlib's own, whatever the person's is."""
+    """Apply our style on top of matplotlib's default, whatever the user's style is."""
     from matplotlib import style
 
     return style.context(["default", STYLE])

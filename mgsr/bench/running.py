@@ -18,7 +18,7 @@ from mgsr.report.data import ReportData
 
 REPORT, ASKED, MEASURED, CONSOLE = "report.json", "cell.json", "machine.json", "console.txt"
 MOST_SAID = 200  # letters of a run's last line
-POLL = 0.1  # seconds between looks at the process and at the wish to stop
+POLL = 0.1  # seconds between looks at the process and at a request to stop
 
 
 class BrokenCell(Exception):
@@ -26,7 +26,7 @@ class BrokenCell(Exception):
 
 
 class Stopped(Exception):
-    """The person asked to stop; the cell that ran is lost, all others are kept."""
+    """The user asked to stop: the running cell is lost, and all others are kept."""
 
 
 def is_finished(cell: Cell, folder: Path, commit: str | None) -> bool:

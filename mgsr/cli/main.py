@@ -82,7 +82,7 @@ def check(
         from mgsr.pipeline.scene_check import summary
 
         found = load_scene(scene, config.data)
-        inspection = inspect_scene(found)
+        inspection = inspect_scene(found, options=config.expert.inspection)
         if as_json:
             print(json.dumps(inspection.to_json(), indent=2))
         else:

@@ -18,7 +18,7 @@ def make_config(
     seed: int = 0,
     overrides: Mapping[str, object] | Sequence[str] = (),
 ) -> Config:
-    """One run's settings from a preset, a method and overrides, applied in that order.
+    """Make the settings of a run from a preset, a method and overrides, applied in that order.
 
     overrides: settings by name, such as ``{"masks": "off", "mesh.max_faces": 50_000}``, or ``key=value`` texts.
 

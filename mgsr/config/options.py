@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
-from typing import Annotated, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 from mgsr.errors import ConfigError
 
@@ -54,8 +56,14 @@ class Options:
             raise ConfigError(f"{names[0]}: expected {' < '.join(names)}, got {', '.join(f'{v:g}' for v in values)}")
 
 
-def ranges(kind: type) -> dict[str, Range]:
+def ranges(kind: type) -> Mapping[str, Range]:
     """Return the valid range of each field of a dataclass that has one."""
+    return _ranges(kind)
+
+
+@cache
+def _ranges(kind: Any) -> Mapping[str, Range]:
+    """Return `ranges`, which are read from the annotations only once."""
     hints = get_type_hints(kind, include_extras=True)
     marks = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
     return {name: part for name, parts in marks.items() for part in parts if isinstance(part, Range)}

@@ -8,6 +8,7 @@ import types
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from enum import StrEnum
+from functools import cache
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from mgsr.config.run import Config
@@ -85,13 +86,20 @@ def apply_overrides(config: Config, overrides: Sequence[str]) -> Config:
 
 
 def field_types(config: Any, prefix: str = "") -> dict[str, Any]:
-    """Dotted path and type of every plain field of a nested dataclass."""
-    hints = get_type_hints(type(config))
+    """Return the type of every plain field of a nested dataclass, by its dotted path."""
+    kind: Any = type(config)
+    hints = _type_hints(kind)
     found: dict[str, Any] = {}
     for item in fields(config):
         value, path = getattr(config, item.name), prefix + item.name
         found.update(field_types(value, path + ".") if is_dataclass(value) else {path: hints[item.name]})
     return found
+
+
+@cache
+def _type_hints(kind: Any) -> Mapping[str, Any]:
+    """Return the types of a dataclass's fields, without their ranges."""
+    return get_type_hints(kind)
 
 
 def _find_path(key: str, paths: list[str]) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 # The file that marks a folder of found cameras.
 SEARCH_STATE = "search.json"
 
-# Receives a line for the person who waits.
+# Receives a line for the user who waits.
 Say = Callable[[str], None]
 # Receives the share 0..1 of the search that is done. It may raise Cancelled, which ends the search.
 Tell = Callable[[float], None]

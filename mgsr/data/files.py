@@ -38,7 +38,7 @@ _NO_NUMBER_IN_JSON = re.compile(rf"(?<=[\[,:\s]){_NO_NUMBER}(?=[\s,\]}}])", re.I
 def text_number(text: str) -> float:
     """Return a number of a text file as a float, with NaN for what C prints for NaN and infinity.
 
-    Examples of such words are ``-nan(ind)`` and ``1.#QNAN``. Raises ValueError for text that is no number.
+    Examples of such words are ``-nan(ind)`` and ``1.#QNAN``. Raises ValueError for text that is not a number.
     """
     return math.nan if re.fullmatch(_NO_NUMBER, text, re.IGNORECASE) else float(text)
 

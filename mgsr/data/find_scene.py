@@ -39,7 +39,7 @@ _PROGRAMS_FOLDER = re.compile(r"\d+$|sparse|dense|colmap|sfm|.*_calibration|.*di
 
 @dataclass(frozen=True)
 class FoundScene:
-    """A scene's folder, format and name, with notes for the person on where it was found and other ways to read it.
+    """A scene's folder, format and name, with notes for the user on where it was found and other ways to read it.
 
     kind: None for photographs without cameras. given: the user's path. is_video: whether frames of a video are the
     photographs.

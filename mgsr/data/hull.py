@@ -148,6 +148,7 @@ def _beyond(camera: Camera, points: np.ndarray, pixels: np.ndarray, depth: np.nd
 
 
 def _children(parents: np.ndarray) -> np.ndarray:
+    """Return the eight half-size cells [8P,3] of each cell [P,3], by their indices."""
     corners = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     children: np.ndarray = (parents[:, None] * 2 + corners).reshape(-1, 3)
     return children

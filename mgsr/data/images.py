@@ -150,6 +150,7 @@ def _encode_srgb(linear: np.ndarray, has_alpha: bool) -> np.ndarray:
 
 
 def _as_rgb(colors: np.ndarray) -> np.ndarray:
+    """Return colours [H,W,3] of an image with one channel or three, [H,W,1] or [H,W,3]."""
     return np.repeat(colors, 3, axis=2) if colors.shape[2] == 1 else np.ascontiguousarray(colors)
 
 
@@ -200,6 +201,7 @@ def _as_bytes(pixels: np.ndarray, channels: Channels, is_linear: bool) -> np.nda
 
 
 def _check_range(path: Path, pixels: np.ndarray, source: str) -> None:
+    """Raise SceneError if most float pixels [H,W,C] are brighter than 1."""
     bright = pixels[..., 0] > 0
     if bright.any() and np.median(pixels[..., 0][bright]) > _MOST_IN_FLOAT:
         raise SceneError(

@@ -90,6 +90,7 @@ def read_intrinsics(path: Path) -> tuple[np.ndarray, tuple[int, int] | None]:
 
 
 def _one_focal(row: list[float]) -> np.ndarray:
+    """Return the intrinsics [3,3] of a row: focal length and principal point, in pixels."""
     return intrinsics(row[0], row[0], row[1], row[2])
 
 

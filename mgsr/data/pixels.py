@@ -40,6 +40,7 @@ class PixelStore:
 
 
 def _map_file(size: int) -> np.ndarray:
+    """Return bytes [size] uint8 that lie in a temporary file in place of memory."""
     with tempfile.TemporaryFile(prefix="mgsr-pixels-") as file:
         file.truncate(size)  # a sparse file: it takes no disk space before it is written
         return np.asarray(np.memmap(file, np.uint8, "r+", shape=(size,)))

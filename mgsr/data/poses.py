@@ -178,6 +178,7 @@ def from_opengl(world_from_cam: np.ndarray, source: str) -> np.ndarray:
 
 
 def _inverse(rotation: np.ndarray, center: np.ndarray, scale: float) -> np.ndarray:
+    """Return the pose [4,4] that maps back what a rotation [3,3], a centre [3] and a scale map."""
     pose = rigid(rotation.T, -rotation.T @ center)
     pose[:3] /= scale
     return pose

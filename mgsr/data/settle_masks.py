@@ -82,6 +82,7 @@ def _use(train: Sequence[LoadedView], masks: Masks) -> MaskUse | None:
 
 
 def _alpha(view: View) -> np.ndarray:
+    """Return a view's mask [H,W] uint8."""
     assert view.alpha is not None, "only views with masks reach this"
     return view.alpha
 

@@ -50,4 +50,5 @@ def averaged(view: View, camera: Camera, mean: Callable[[np.ndarray], np.ndarray
 
 
 def _bytes(pixels: np.ndarray) -> np.ndarray:
+    """Return pixels [H,W,C] as uint8, without a copy where they already are."""
     return np.ascontiguousarray(pixels) if pixels.dtype == np.uint8 else to_uint8(pixels)

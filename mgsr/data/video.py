@@ -108,7 +108,7 @@ def open_video(path: Path, limits: VideoLimits | None = None) -> Iterator[Video]
     limits = limits or VideoLimits()
     # FFmpeg's threads would wait for Python's lock to log, and Python for the threads; errors arrive as exceptions.
     av.logging.set_level(None)
-    # FFmpeg heeds max_pixels before it allocates a frame, also while it looks for what the streams are.
+    # FFmpeg applies max_pixels before it allocates a frame, also while it looks for what the streams are.
     bounds = {"max_pixels": str(limits.pixels)}
     try:
         with av.open(str(path), format=kind, options={**bounds, "protocol_whitelist": "file"}) as container:

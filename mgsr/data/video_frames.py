@@ -181,6 +181,7 @@ class _Follower:
         return float(np.quantile(apart, _QUANTILE) / np.hypot(*grey.shape))
 
     def _find(self, grey: np.ndarray) -> None:
+        """Find features in a grey frame [H,W] uint8, and follow them from here on."""
         import cv2
 
         corners = cv2.goodFeaturesToTrack(grey, _FEATURES, 0.01, 7)

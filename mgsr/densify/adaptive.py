@@ -114,6 +114,7 @@ def _hottest(gradients: Tensor, keep: Tensor, config: DensifyConfig) -> Tensor:
 
 
 def _rows(parameters: Parameters, mask: Tensor) -> Parameters:
+    """Return the parameters of the splats where the mask [N] bool is True."""
     return {name: tensor[mask] for name, tensor in parameters.items()}
 
 

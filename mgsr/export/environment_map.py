@@ -58,7 +58,7 @@ def write_environment_map(path: Path, stored: StoredEnvironmentMap, origin: np.n
 
 
 def load_environment_map(path: Path) -> StoredEnvironmentMap:
-    """Read the maps. Raises SceneError for a file that is none."""
+    """Read the maps. Raises SceneError for a file that holds no maps."""
     try:
         content = read_arrays(path)
         images = [content[part].astype(np.float32) for part in _PARTS]

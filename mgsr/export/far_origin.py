@@ -83,7 +83,7 @@ def read_origin_text(words: Sequence[str], source: str) -> np.ndarray:
 
 
 def origin_notes(user_from_scene: Similarity, unit: float = 1.0) -> list[str]:
-    """Return a line for the person on the origin of a scene's files (see `origin_of_frame`), or nothing."""
+    """Return a line for the user on the origin of a scene's files (see `origin_of_frame`), or nothing."""
     origin = origin_of_frame(user_from_scene, unit)
     if not origin.any():
         return []

@@ -45,7 +45,7 @@ def write_flash(path: Path, lighting: Lighting, origin: np.ndarray | None = None
 
 
 def load_flash(path: Path) -> Lighting:
-    """Load a flash, in the user's frame. Raises SceneError for a file that is none."""
+    """Load a flash, in the user's frame. Raises SceneError for a file that holds no flash."""
     try:
         content = read_arrays(path)
         vertices, ambient, lamp = (content[name].astype(float) for name in ("vertices", "besides", "lamp"))

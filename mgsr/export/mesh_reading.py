@@ -139,6 +139,7 @@ def _gltf_colors(mesh: Any, path: Path, materials: list[_Material]) -> np.ndarra
 
 
 def _picture_colors(mesh: Any, picture: Any) -> np.ndarray | None:
+    """Return the vertices' colours [V,3] 0..1 in a texture, None without texture coordinates."""
     from trimesh.visual.color import uv_to_color
 
     colors = uv_to_color(getattr(mesh.visual, "uv", None), picture)

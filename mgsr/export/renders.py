@@ -94,15 +94,18 @@ def _path(folder: Path, name: str) -> Path:
 
 
 def _rgba(color: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Return a picture [H,W,4] uint8 of a colour [H,W,3] and an alpha [H,W], both 0..1."""
     return np.concatenate([_bytes(color), _bytes(alpha[..., None])], axis=-1)
 
 
 def _bytes(image: np.ndarray) -> np.ndarray:
+    """Return an image [H,W,C] of 0..1 as uint8; NaN becomes 0."""
     rounded: np.ndarray = np.rint(np.clip(np.nan_to_num(image), 0, 1) * 255).astype(np.uint8)
     return rounded
 
 
 def _write(path: Path, image: np.ndarray, depth_scale: str | None) -> Path:
+    """Write an image [H,W,C] uint8 or uint16 as PNG, with the unit of a depth map; return its path."""
     # A late import: computing renders needs no OpenImageIO.
     import OpenImageIO
 

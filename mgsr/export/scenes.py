@@ -133,6 +133,7 @@ def _write_colmap(
 
 
 def _write_points(path: Path, points: np.ndarray, colors: np.ndarray) -> None:
+    """Write points [P,3] with their colours [P,3] uint8 as a binary PLY."""
     rows = np.empty(
         len(points), [(axis, "<f8") for axis in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")]
     )

@@ -77,8 +77,8 @@ def load_splats(path: Path) -> Splats:
 
     They are about the origin that its header names (`ply_notes.read_origin`).
 
-    Files of other programs are read too: as Gaussians, with all the coefficients that they have, and with float64 means
-    where they have such and float32 would be too coarse. Raises SceneError for a file that is no such PLY.
+    Files of other programs are read as Gaussians, with all their coefficients. Their means stay float64 if float32
+    would be too coarse. Raises SceneError for any other file.
     """
     try:
         data = PlyData.read(str(path))
@@ -162,6 +162,7 @@ def _load_sh(vertex: PlyElement, names: set[str], prefix: str) -> np.ndarray:
 
 
 def _columns(splats: Splats, frame: Similarity) -> dict[str, np.ndarray]:
+    """Return the columns [N] of a splat file by name, in the frame of the user."""
     means = frame.to_user(splats["means"].astype(np.float64))
     flat = splats["log_scales"].shape[1] == 2
     normals = _third_axes(splats["quats"]) if flat else np.zeros_like(means)

@@ -29,6 +29,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import expit
 
+from mgsr.data.images import to_uint8
 from mgsr.errors import SceneError, in_short
 from mgsr.export.far_origin import no_origin, read_origin_text
 from mgsr.export.ply_notes import ORIGIN, origin_comments
@@ -76,10 +77,10 @@ def write_spz(path: Path, splats: Splats, origin: np.ndarray | None = None) -> N
     fixed = np.rint(splats["means"].astype(np.float64) * _TURN * 2**fraction).astype("<i4")
     arrays = [
         fixed.view(np.uint8).reshape(count, 3, 4)[:, :, :3],
-        _byte(255 * expit(splats["opacity_logits"].astype(np.float64))),
-        _byte((splats["sh"][:, 0] * _COLOR_SCALE + 0.5) * 255),
-        _byte((log_scales - _LOG_SCALES[0]) * 16),
-        _byte(_unit(quats * _QUAT_TURN)[:, 1:] * 127.5 + 127.5),
+        to_uint8(255 * expit(splats["opacity_logits"].astype(np.float64))),
+        to_uint8((splats["sh"][:, 0] * _COLOR_SCALE + 0.5) * 255),
+        to_uint8((log_scales - _LOG_SCALES[0]) * 16),
+        to_uint8(_unit(quats * _QUAT_TURN)[:, 1:] * 127.5 + 127.5),
         _quantised_harmonics(splats["sh"][:, 1:] * _SH_TURN[: coefficients - 1]),
     ]
     body = b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
@@ -259,7 +260,7 @@ def _quantised_harmonics(rest: np.ndarray) -> np.ndarray:
     """
     steps = np.where(np.arange(rest.shape[1]) < 3, 8, 16)[:, None]
     fine = np.rint(rest.astype(np.float64) * 128) + 128
-    return _byte(np.floor((fine + steps / 2) / steps) * steps)
+    return to_uint8(np.floor((fine + steps / 2) / steps) * steps)
 
 
 def _unit(quats: np.ndarray) -> np.ndarray:
@@ -268,8 +269,3 @@ def _unit(quats: np.ndarray) -> np.ndarray:
     unit = quats / np.maximum(lengths, 1e-12)
     turned: np.ndarray = np.where(unit[:, :1] < 0, -unit, unit)
     return turned
-
-
-def _byte(values: np.ndarray) -> np.ndarray:
-    rounded: np.ndarray = np.clip(np.rint(values), 0, 255).astype(np.uint8)
-    return rounded

@@ -16,6 +16,7 @@ from torch import Tensor
 from mgsr.data.camera import Camera
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import PixelHits
+from mgsr.geometry.triangles import unit_vectors
 
 KEPT = 256 * 2**20  # size of the cache of camera views, bytes
 GAP = 0.005  # of the mesh's longest side, at most
@@ -76,7 +77,7 @@ class Reflector:
         if not len(pixels):
             return normals.reshape(camera.height, camera.width, 3).astype(np.float16), pixels, pixels
         points, own = self._at(hits)
-        eye = _unit(camera.center - points)
+        eye = unit_vectors(camera.center - points)
         bounced, turned = self._second(points, own, eye)
         normals[pixels] = own
         normals[pixels[bounced]] = turned
@@ -94,20 +95,16 @@ class Reflector:
         hits = self.mesh.caster.cast_rays(points + self._gap * normals, first)
         bounced = np.flatnonzero(hits.mask)
         _, there = self._at(hits)
-        return bounced, _unit(eye[bounced] + _environment_map(-first[bounced], there))
+        return bounced, unit_vectors(eye[bounced] + _environment_map(-first[bounced], there))
 
     def _at(self, hits: PixelHits) -> tuple[np.ndarray, np.ndarray]:
         """Return the places [P,3] and unit normals [P,3] where rays meet the surface."""
         corners, shares = self.mesh.faces[hits.face[hits.mask]], hits.barycentric[hits.mask].astype(np.float64)
         values = self.mesh.vertices, self.mesh.double_normals
         place, normal = (np.einsum("pk,pki->pi", shares, each[corners]) for each in values)
-        return place, _unit(normal)
+        return place, unit_vectors(normal)
 
 
 def _environment_map(towards: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Reflect the unit directions `towards` [P,3] about the unit normals [P,3]."""
     return np.asarray(2 * (towards * normals).sum(axis=1, keepdims=True) * normals - towards)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))

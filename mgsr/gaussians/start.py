@@ -173,10 +173,12 @@ def _neighbourhood(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _sh(colors: Tensor, degree: int) -> Tensor:
+    """Return the harmonics [N,K,3] of a degree that show colours [N,3] sRGB 0..1 from all sides."""
     sh = torch.zeros(len(colors), (degree + 1) ** 2, 3, device=colors.device)
     sh[:, 0] = (colors - 0.5) / SH_CONSTANT
     return sh
 
 
 def _tensor(array: np.ndarray) -> Tensor:
+    """Return an array [...] as a float32 tensor."""
     return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))

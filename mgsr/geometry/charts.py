@@ -12,15 +12,11 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from mgsr.config.expert import ChartOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import tangents
 
-SMOOTHING = 30  # rounds over which the face normals are averaged, so that charts have smooth borders
-LEAST_COS = 0.25  # of a face's tilt in its chart, whose texels it stretches by the inverse
-SMALL = 1e-3  # of the surface's area; smaller charts join a neighbour that faces their way
-ROUNDS = 6  # of joining small parts, and of taking out faces that their chart covers or tilts too far
-INSET = 0.9  # of the way from a face's centre to its corners, where covering is tested
 CELL = 2.5  # distance of charts that are laid out beside each other, in the surface's extents
 
 
@@ -39,7 +35,7 @@ class Charts:
     count: int
 
 
-def cut_charts(mesh: Mesh, least: float) -> Charts:
+def cut_charts(mesh: Mesh, least: float, options: ChartOptions = ChartOptions()) -> Charts:
     """Cut a surface into charts, each an orthographic projection of faces that lean away by less than 90 degrees.
 
     least: the area of the smallest chart, in the square of the surface's unit. Smaller parts stay with a neighbour,
@@ -48,9 +44,9 @@ def cut_charts(mesh: Mesh, least: float) -> Charts:
     normals = _face_normals(mesh)
     areas = np.linalg.norm(mesh.face_crosses, axis=1) / 2
     pairs = _neighbours(mesh)
-    parts = _joined_small(_by_direction(normals, pairs), normals, areas, pairs, least)
-    for _ in range(ROUNDS):
-        wrong = _misplaced(mesh, parts, normals, areas)
+    parts = _joined_small(_by_direction(normals, pairs, options), normals, areas, pairs, least, options)
+    for _ in range(options.rounds):
+        wrong = _misplaced(mesh, parts, normals, areas, options)
         split = _connected(7 * parts + np.where(wrong, 1 + _nearest_axis(normals), 0), pairs)
         wrong &= (np.bincount(split, areas) >= least)[split]
         if not wrong.any():
@@ -75,7 +71,7 @@ def _neighbours(mesh: Mesh) -> np.ndarray:
     return np.stack([owners[order[:-1]][same], owners[order[1:]][same]], axis=1)
 
 
-def _by_direction(normals: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+def _by_direction(normals: np.ndarray, pairs: np.ndarray, options: ChartOptions) -> np.ndarray:
     """Return the connected parts [F] of the faces that are nearest to one of six directions.
 
     Averaging over neighbours decides for faces between two directions, unless it leads too far from a face's own.
@@ -84,10 +80,10 @@ def _by_direction(normals: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     near = sparse.coo_matrix((np.ones(len(ends)), ends.T), (count, count)).tocsr() + sparse.eye(count)
     mean = sparse.diags(1 / np.asarray(near.sum(axis=1)).ravel()) @ near
     smooth = normals
-    for _ in range(SMOOTHING):
+    for _ in range(options.smoothing):
         smooth = mean @ smooth
     labels = _nearest_axis(smooth)
-    off = np.take_along_axis(_six(normals), labels[:, None], axis=1)[:, 0] < LEAST_COS
+    off = np.take_along_axis(_six(normals), labels[:, None], axis=1)[:, 0] < options.min_cosine
     labels[off] = _nearest_axis(normals[off])
     return _connected(labels, pairs)
 
@@ -111,18 +107,24 @@ def _connected(labels: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 
 
 def _joined_small(
-    parts: np.ndarray, normals: np.ndarray, areas: np.ndarray, pairs: np.ndarray, least: float
+    parts: np.ndarray,
+    normals: np.ndarray,
+    areas: np.ndarray,
+    pairs: np.ndarray,
+    least: float,
+    options: ChartOptions,
 ) -> np.ndarray:
     """Join parts [F] of little area to the larger neighbour with the longest common border.
 
     Those above `least` only join a neighbour that faces their way.
     """
     ends = np.concatenate([pairs, pairs[:, ::-1]])
-    for _ in range(ROUNDS):
+    for _ in range(options.rounds):
         size, axes = np.bincount(parts, areas), _axes(parts, normals, areas)
         borders, lengths = np.unique(parts[ends], axis=0, return_counts=True)
         small, other = borders.T
-        alike = (size[small] < SMALL * areas.sum()) & ((axes[small] * axes[other]).sum(axis=1) > LEAST_COS)
+        cosines = (axes[small] * axes[other]).sum(axis=1)
+        alike = (size[small] < options.small * areas.sum()) & (cosines > options.min_cosine)
         join = (small != other) & (size[small] < size[other]) & (alike | (size[small] < least))
         if not join.any():
             break
@@ -133,16 +135,18 @@ def _joined_small(
     return parts
 
 
-def _misplaced(mesh: Mesh, parts: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> np.ndarray:
+def _misplaced(
+    mesh: Mesh, parts: np.ndarray, normals: np.ndarray, areas: np.ndarray, options: ChartOptions
+) -> np.ndarray:
     """Return which faces [F] bool their chart tilts too far, or covers by other faces of its own."""
     axes = _axes(parts, normals, areas)
-    tilted = (normals * axes[parts]).sum(axis=1) < 0.6 * LEAST_COS
+    tilted = (normals * axes[parts]).sum(axis=1) < options.kept * options.min_cosine
     charts = _laid_out(mesh, parts, normals, areas)
     heights = (mesh.vertices[mesh.faces] * axes[parts][:, None]).sum(axis=-1)
     corners = np.concatenate([charts.places[charts.faces], heights[..., None]], axis=-1)
     caster = RayCaster(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
     middle = corners.mean(axis=1, keepdims=True)
-    samples = np.concatenate([middle, middle + INSET * (corners - middle)], axis=1)
+    samples = np.concatenate([middle, middle + options.inset * (corners - middle)], axis=1)
     gap = 1e-4 * float(np.ptp(mesh.vertices, axis=0).max())
     up = np.broadcast_to(np.array([0.0, 0, 1]), samples.shape)
     hits = caster.cast_rays(samples + gap * up, up)

@@ -7,12 +7,13 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, cg
 
 from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.triangles import unit_vectors
 
 
 def mean_normals(normals: np.ndarray, laplacian: sparse.csr_matrix, rounds: int) -> np.ndarray:
     """Average unit normals [V,3] with those of neighbouring vertices, `rounds` times; return unit normals [V,3]."""
     for _ in range(rounds):
-        normals = _unit(normals + laplacian @ normals)
+        normals = unit_vectors(normals + laplacian @ normals)
     return normals
 
 
@@ -67,7 +68,7 @@ def integrate_normals(
     vertices, normals, edges = mesh.vertices, mesh.double_normals, mesh.edges
     edge_confidence = confidence[edges].min(axis=1)
     first, second = edges[edge_confidence > 0].T
-    across, had = (_unit(each[first] + each[second]) for each in (target, normals))
+    across, had = (unit_vectors(each[first] + each[second]) for each in (target, normals))
     row = np.arange(len(first))
     shares = np.concatenate([-(normals[first] * across).sum(1), (normals[second] * across).sum(1)])
     places = (np.concatenate([row, row]), np.concatenate([first, second]))
@@ -78,11 +79,8 @@ def integrate_normals(
     return _solve(matrix, prior_weight * prior - weighed @ turn)
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))
-
-
 def _solve(matrix: sparse.csr_matrix, right: np.ndarray) -> np.ndarray:
+    """Solve a symmetric positive definite system [V,V] for a right side [V], by conjugate gradients."""
     diagonal = np.maximum(matrix.diagonal(), 1e-12)
     jacobi = LinearOperator(matrix.shape, matvec=lambda values: values / diagonal)
     solution: np.ndarray = cg(matrix, right, rtol=1e-4, maxiter=500, M=jacobi)[0]

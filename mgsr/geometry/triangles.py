@@ -25,6 +25,11 @@ class Topology:
     holes: int
 
 
+def unit_vectors(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors [P,3] with length 1; 0 stays 0."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))
+
+
 def tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two unit vectors [V,3] that are perpendicular to the unit normals [V,3] and to each other.
 

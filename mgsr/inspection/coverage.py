@@ -6,19 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mgsr.config.expert import CoverageOptions
 from mgsr.data.camera import Camera
 from mgsr.data.scene import Similarity
 from mgsr.inspection.findings import Code, Finding, Severity
 
-SEEN = 50.0  # degrees between a side of the object and a camera, beyond which it is seen at a grazing angle at best
-_BELOW = -0.35  # sine of the elevation under which a side belongs to the underside
-_LEAST_GAP = 0.03  # share of the sphere, without the underside
-_DIRECTIONS = 1500
-_MOST_PLACES = 6
-_ERROR_ANGLE, _SMALL_ANGLE = 4.0, 12.0  # degrees between the two cameras that stand farthest apart
 
-
-def check_sides(cameras: Sequence[Camera], names: Sequence[str], user: Similarity) -> list[Finding]:
+def check_sides(
+    cameras: Sequence[Camera],
+    names: Sequence[str],
+    user: Similarity,
+    options: CoverageOptions = CoverageOptions(),
+) -> list[Finding]:
     """Return findings on sides of the object that no camera sees, with places to add photographs at.
 
     cameras: in the scene's frame, in which the object lies around the origin. user: takes places to the user's frame.
@@ -26,28 +25,29 @@ def check_sides(cameras: Sequence[Camera], names: Sequence[str], user: Similarit
     centers = np.array([camera.center for camera in cameras])
     distances = np.linalg.norm(centers, axis=1)
     views = centers / np.maximum(distances, 1e-9)[:, None]
-    sides = _sphere(_DIRECTIONS)
+    sides = _sphere(options.directions)
     angles = np.degrees(np.arccos(np.clip(sides @ views.T, -1, 1)))
-    unseen = angles.min(axis=1) > SEEN
+    unseen = angles.min(axis=1) > options.seen
     up = _up(cameras)
-    below = sides @ up < _BELOW
+    below = sides @ up < -options.underside
     found = []
     above = unseen & ~below
-    if above.mean() >= _LEAST_GAP:
-        where = _spread_places(sides[above])
+    if above.mean() >= options.min_gap:
+        where = _spread_places(sides[above], options)
         nearest = angles[np.argmax(np.where(above, angles.min(axis=1), -1))].argsort()[:2]
-        found.append(_gap(float(above.mean()), where, float(np.median(distances)), user, [names[i] for i in nearest]))
-    if not above.any() and (unseen & below).mean() >= _LEAST_GAP:
+        places = user.to_user(where * float(np.median(distances)))
+        found.append(_gap(float(above.mean()), options.seen, places, [names[i] for i in nearest]))
+    if not above.any() and (unseen & below).mean() >= options.min_gap:
         found.append(_underside(float((unseen & below).mean())))
     return found
 
 
-def _gap(share: float, where: np.ndarray, distance: float, user: Similarity, nearest: Sequence[str]) -> Finding:
-    places = user.to_user(where * distance)
+def _gap(share: float, seen: float, places: np.ndarray, nearest: Sequence[str]) -> Finding:
+    """Return the finding on a gap, with places [P,3] to add photographs at, in the user's frame."""
     return Finding(
         Code.UNSEEN_SIDE,
         Severity.WARNING,
-        f"no photograph shows {share:.0%} of the object's sides from less than {SEEN:.0f} degrees off; the largest gap "
+        f"no photograph shows {share:.0%} of the object's sides from less than {seen:.0f} degrees off; the largest gap "
         f"lies between {' and '.join(nearest)}",
         round(4 * np.pi * share, 2),
         "sr",
@@ -78,32 +78,34 @@ def _up(cameras: Sequence[Camera]) -> np.ndarray:
     return np.asarray(up / max(float(np.linalg.norm(up)), 1e-9))
 
 
-def _spread_places(sides: np.ndarray) -> np.ndarray:
+def _spread_places(sides: np.ndarray, options: CoverageOptions) -> np.ndarray:
     """Return directions [P,3] among unseen ones [S,3] so that a camera at each would see all of them.
 
     Each is the middle of the unseen directions around the one that is farthest from all chosen so far.
     """
     chosen: list[np.ndarray] = []
     left = sides
-    while len(left) and len(chosen) < _MOST_PLACES:
-        near = left @ left.T > np.cos(np.radians(SEEN / 2))
+    while len(left) and len(chosen) < options.max_places:
+        near = left @ left.T > np.cos(np.radians(options.seen / 2))
         middle = left[near[near.sum(axis=1).argmax()]].mean(axis=0)
         chosen.append(middle / np.linalg.norm(middle))
-        left = left[left @ chosen[-1] < np.cos(np.radians(SEEN))]
+        left = left[left @ chosen[-1] < np.cos(np.radians(options.seen))]
     return np.array(chosen)
 
 
-def check_parallax(centers: np.ndarray, target: np.ndarray) -> list[Finding]:
+def check_parallax(
+    centers: np.ndarray, target: np.ndarray, options: CoverageOptions = CoverageOptions()
+) -> list[Finding]:
     """Return a finding where the cameras at `centers` [C,3] see `target` [3] from nearly one direction."""
     rays = centers - target
     rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
     widest = float(np.degrees(np.arccos(np.clip(rays @ rays.T, -1, 1))).max())
-    if widest >= _SMALL_ANGLE:
+    if widest >= options.small_angle:
         return []
     return [
         Finding(
             Code.LITTLE_PARALLAX,
-            Severity.ERROR if widest < _ERROR_ANGLE else Severity.WARNING,
+            Severity.ERROR if widest < options.error_angle else Severity.WARNING,
             f"all photographs see the object from within {widest:.1f} degrees, which tells next to nothing of depth",
             round(widest, 2),
             "deg",

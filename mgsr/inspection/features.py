@@ -8,17 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
+from mgsr.config.expert import FeatureOptions
 from mgsr.data.images import composite_on_white
 from mgsr.data.scene import View
 from mgsr.parallel import map_ahead
-
-SIDE = 512  # pixels of the larger side at which features are found
-MOST = 800  # features of a photograph, the strongest first
-EDGE = 4  # pixels from a silhouette or from an unknown pixel, within which a feature depends on the background
-
-_WORDS = 32  # of the vocabulary that describes whole photographs
-_SAMPLE = 6000  # features that the vocabulary is made of
-_RATIO = 0.8  # Lowe's: the second best match must be this much farther away
 
 
 @dataclass(frozen=True)
@@ -37,12 +30,12 @@ class Features:
         return len(self.pixels)
 
 
-def find_features(views: Sequence[View]) -> list[Features]:
+def find_features(views: Sequence[View], options: FeatureOptions = FeatureOptions()) -> list[Features]:
     """Return the features of each view: on the object where the view has a mask, and on valid pixels alone."""
-    return list(map_ahead(_features, views, None))
+    return list(map_ahead(lambda view: _features(view, options), views, None))
 
 
-def _features(view: View) -> Features:
+def _features(view: View, options: FeatureOptions) -> Features:
     import cv2  # late: training needs no OpenCV
 
     pixels = view.image if view.alpha is None else composite_on_white(view.image, view.alpha)
@@ -50,25 +43,28 @@ def _features(view: View) -> Features:
     shown: np.ndarray = np.ones(grey.shape, np.uint8) if view.alpha is None else (view.alpha > 127).astype(np.uint8)
     if view.valid_mask is not None:
         shown &= view.valid_mask.astype(np.uint8)
-    scale = max(1.0, max(grey.shape) / SIDE)
+    scale = max(1.0, max(grey.shape) / options.side)
     if scale > 1:
         size = (round(grey.shape[1] / scale), round(grey.shape[0] / scale))
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         shown = cv2.resize(shown, size, interpolation=cv2.INTER_NEAREST)
-    inner = cv2.erode(shown, np.ones((2 * EDGE + 1, 2 * EDGE + 1), np.uint8), borderValue=1)
-    found, descriptors = cv2.SIFT_create(MOST).detectAndCompute(grey, inner)  # type: ignore[attr-defined]
+    inner = cv2.erode(shown, np.ones((2 * options.edge + 1,) * 2, np.uint8), borderValue=1)
+    found, descriptors = cv2.SIFT_create(options.count).detectAndCompute(grey, inner)  # type: ignore[attr-defined]
     if descriptors is None:
         return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), scale)
     places = np.array([point.pt for point in found], np.float64) + 0.5
     # SIFT may return one more than asked for, where two have the same strength.
-    order = np.argsort([-point.response for point in found], kind="stable")[:MOST]
+    order = np.argsort([-point.response for point in found], kind="stable")[: options.count]
     across = np.array([view.camera.width / grey.shape[1], view.camera.height / grey.shape[0]])
     roots = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6))
     return Features(places[order] * across, roots[order].astype(np.float32), scale)
 
 
-def match(one: Features, other: Features) -> np.ndarray:
-    """Return the matches of two photographs: indices [M,2] of features that are each other's only near ones."""
+def match(one: Features, other: Features, ratio: float = FeatureOptions().ratio) -> np.ndarray:
+    """Return the matches of two photographs: indices [M,2] of features that are each other's only near ones.
+
+    ratio: the largest one of the distances of the best and the second best match.
+    """
     if min(len(one), len(other)) < 2:
         return np.zeros((0, 2), np.int64)
     alike = one.descriptors @ other.descriptors.T
@@ -78,23 +74,23 @@ def match(one: Features, other: Features) -> np.ndarray:
     top = alike[rows, best].copy()
     alike[rows, best] = -1
     # The squared distance of vectors of unit length is 2 - 2 cos.
-    clear = 1 - top < _RATIO**2 * (1 - alike.max(axis=1))
+    clear = 1 - top < ratio**2 * (1 - alike.max(axis=1))
     kept = mutual & clear
     return np.stack([rows[kept], best[kept]], axis=1)
 
 
-def similarity(features: Sequence[Features], seed: int = 0) -> np.ndarray:
+def similarity(features: Sequence[Features], options: FeatureOptions = FeatureOptions(), seed: int = 0) -> np.ndarray:
     """Return how much each two photographs look alike, [V,V], from -1 to 1; it does not use the cameras.
 
     The cosine between their vectors of locally aggregated descriptors (VLAD, Jegou and others 2010), to whose small
     vocabulary the photographs' own features contribute.
     """
     every = np.concatenate([one.descriptors for one in features])
-    if len(every) < 2 * _WORDS:
+    if len(every) < 2 * options.words:
         return np.zeros((len(features), len(features)))
     rng = np.random.default_rng(seed)
-    sample = every[rng.permutation(len(every))[:_SAMPLE]]
-    words, _ = kmeans2(sample, _WORDS, iter=10, minit="points", rng=rng, missing="warn")
+    sample = every[rng.permutation(len(every))[: options.sample]]
+    words, _ = kmeans2(sample, options.words, iter=10, minit="points", rng=rng, missing="warn")
     vectors = np.stack([_aggregated(one.descriptors, words) for one in features])
     return np.asarray(vectors @ vectors.T)
 

@@ -7,11 +7,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from mgsr.config.expert import InspectionConfig
 from mgsr.data.scene import Scene, View, some_of
 from mgsr.inspection.coverage import check_parallax, check_sides
 from mgsr.inspection.features import Features, find_features
 from mgsr.inspection.findings import Code, Finding, InspectedPhoto, Inspection, Severity, sorted_by_severity
-from mgsr.inspection.pairs import FEWEST, Likeness, Pair, compare_pairs
+from mgsr.inspection.pairs import Likeness, Pair, compare_pairs
 from mgsr.inspection.photo_check import (
     check_exposures,
     check_lenses,
@@ -23,60 +24,69 @@ from mgsr.inspection.pose_check import check_movement, check_poses, group_by_pos
 from mgsr.inspection.tracks import Tracks, find_tracks
 from mgsr.inspection.verdicts import Judged, Verdict, judge
 
-MOST = 300  # photographs whose features are compared, spread over all
 
-_FEW_POINTS = 50  # tracks, below which their middle says nothing
-
-
-def inspect_scene(scene: Scene, progress: Callable[[float], None] = lambda done: None) -> Inspection:
+def inspect_scene(
+    scene: Scene,
+    progress: Callable[[float], None] = lambda done: None,
+    options: InspectionConfig = InspectionConfig(),
+) -> Inspection:
     """Return what is wrong with the photographs, cameras and masks of a scene.
 
-    progress: told of the share that is done, 0..1; it may raise. Nothing in the scene changes.
+    progress: told of the share that is done, 0..1; it may raise. options: the limits of all checks. The scene does
+    not change.
     """
     started_at = time.perf_counter()
     views = [*scene.train, *scene.test]
     names = photo_names(scene)
     # Photographs of tests are named alike, so that an index finds both.
-    chosen = some_of(range(len(views)), MOST)
+    chosen = some_of(range(len(views)), options.photographs)
     compared = [views[index] for index in chosen]
-    features = find_features(compared)
+    features = find_features(compared, options.features)
     progress(0.4)
-    judged = _judged_pairs(compared, features, lambda done: progress(0.4 + 0.5 * done))
-    tracks = find_tracks([view.camera for view in compared], features, judged.of(Verdict.AGREES))
+    judged = _judged_pairs(compared, features, lambda done: progress(0.4 + 0.5 * done), options)
+    agreeing = judged.of(Verdict.AGREES)
+    tracks = find_tracks([view.camera for view in compared], features, agreeing, options.track)
     compared_names = [names[index] for index in chosen]
-    found = check_poses(compared_names, [len(one) for one in features], judged)
-    found += check_movement(judged.pairs)
-    found += check_photographs(scene, views, names, tracks)
+    found = check_poses(compared_names, [len(one) for one in features], judged, options)
+    found += check_movement(judged.pairs, options)
+    found += check_photographs(scene, views, names, tracks, options)
     photographs = _photographs(scene, compared, compared_names, judged.pairs, tracks)
     return Inspection(sorted_by_severity(found), photographs, time.perf_counter() - started_at)
 
 
-def _judged_pairs(views: Sequence[View], features: Sequence[Features], progress: Callable[[float], None]) -> Judged:
+def _judged_pairs(
+    views: Sequence[View],
+    features: Sequence[Features],
+    progress: Callable[[float], None],
+    options: InspectionConfig,
+) -> Judged:
     """Return the pairs of like photographs, and then those of each group of photographs with the largest group."""
-    likeness = Likeness.of(views, features)
+    likeness = Likeness.of(views, features, options.features)
     count = len(views)
-    pairs = compare_pairs(
-        views, features, likeness.pairs(~np.eye(count, dtype=bool)), lambda done: progress(0.7 * done)
-    )
+    like = likeness.pairs(~np.eye(count, dtype=bool), options.pairs)
+    pairs = compare_pairs(views, features, like, lambda done: progress(0.7 * done), options)
     cameras = [view.camera for view in views]
-    group = group_by_pose(count, judge(cameras, features, pairs)).group
-    rich = np.array([len(one) for one in features]) >= FEWEST
+    group = group_by_pose(count, judge(cameras, features, pairs, options), options.poses).group
+    rich = np.array([len(one) for one in features]) >= options.pairs.min_matches
     across = (group[:, None] > 0) & (group[None] == 0) & rich[:, None] & rich[None]
     known = {(pair.one, pair.other) for pair in pairs}
-    more = [pair for pair in likeness.pairs(across) if pair not in known]
-    pairs += compare_pairs(views, features, more, lambda done: progress(0.7 + 0.3 * done))
-    return judge(cameras, features, pairs)
+    more = [pair for pair in likeness.pairs(across, options.pairs) if pair not in known]
+    pairs += compare_pairs(views, features, more, lambda done: progress(0.7 + 0.3 * done), options)
+    return judge(cameras, features, pairs, options)
 
 
-def check_photographs(scene: Scene, views: Sequence[View], names: Sequence[str], tracks: Tracks) -> list[Finding]:
+def check_photographs(
+    scene: Scene, views: Sequence[View], names: Sequence[str], tracks: Tracks, options: InspectionConfig
+) -> list[Finding]:
     """Return the findings that need no pairs of photographs. tracks: points that photographs share."""
-    found = [*check_sharpness(views, names), *check_exposures(views, names)]
-    found += check_sides([view.camera for view in views], names, scene.user_from_scene)
-    target = np.median(tracks.points, axis=0) if len(tracks.points) >= _FEW_POINTS else np.zeros(3)
-    found += check_parallax(np.array([view.camera.center for view in views]), target)
-    found += check_object_size(scene, views)
-    found += check_masks(scene.train, names[: len(scene.train)]) if scene.masked else []
-    found += check_lenses(views, names)
+    found = [*check_sharpness(views, names), *check_exposures(views, names, options.photos)]
+    found += check_sides([view.camera for view in views], names, scene.user_from_scene, options.coverage)
+    target = np.median(tracks.points, axis=0) if len(tracks.points) >= options.min_points else np.zeros(3)
+    found += check_parallax(np.array([view.camera.center for view in views]), target, options.coverage)
+    found += check_object_size(scene, views, options.photos)
+    if scene.masked:
+        found += check_masks(scene.train, names[: len(scene.train)], options.photos)
+    found += check_lenses(views, names, options.photos)
     if scene.warning is not None:
         what, _, cure = scene.warning.partition("; ")
         found.append(Finding(Code.FEW_PHOTOGRAPHS, Severity.WARNING, what, len(scene.train), "photographs", cure))

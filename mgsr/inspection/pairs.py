@@ -7,18 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsr.config.expert import FeatureOptions, InspectionConfig, PairOptions
 from mgsr.data.camera import Camera
 from mgsr.data.scene import View
 from mgsr.inspection.features import Features, match, similarity
 from mgsr.parallel import map_ahead
-
-# Photographs that each is compared with: the nearest by camera, and those that look most alike, wherever they are.
-NEAREST, ALIKE = 4, 5
-
-_INLIER = 1.5  # pixels of the image of the features, from the epipolar line of the pair's own geometry
-FEWEST = 24  # matches in one geometry, below which a pair says nothing; by chance there are about 10
-_MOST = 0.6  # share of the matches on the epipolar lines of the cameras that needs no other explanation
-_OFF = 4.0  # pixels from the epipolar line of the cameras, beyond which a match contradicts them
 
 
 @dataclass(frozen=True)
@@ -55,18 +48,20 @@ class Likeness:
     alike: np.ndarray
 
     @classmethod
-    def of(cls, views: Sequence[View], features: Sequence[Features]) -> Likeness:
+    def of(
+        cls, views: Sequence[View], features: Sequence[Features], options: FeatureOptions = FeatureOptions()
+    ) -> Likeness:
         """Return the likeness of the photographs with these features."""
-        return cls(camera_distances([view.camera for view in views]), similarity(features))
+        return cls(camera_distances([view.camera for view in views]), similarity(features, options))
 
-    def pairs(self, allowed: np.ndarray) -> list[tuple[int, int]]:
+    def pairs(self, allowed: np.ndarray, options: PairOptions = PairOptions()) -> list[tuple[int, int]]:
         """Return the pairs to compare, of those that are allowed [V,V] bool, as sorted indices.
 
         Cameras alone would not do: where one structure has two copies, the photographs of the second are far from those
         of the first.
         """
         chosen = set()
-        for table, most in ((self.apart, NEAREST), (-self.alike, ALIKE)):
+        for table, most in ((self.apart, options.nearest), (-self.alike, options.alike)):
             costs = np.where(allowed, table, np.inf)
             nearest = np.argsort(costs, axis=1, kind="stable")[:, :most]
             ranked = ((i, int(j)) for i, row in enumerate(nearest) for j in row if np.isfinite(costs[i, j]))
@@ -88,47 +83,54 @@ def compare_pairs(
     features: Sequence[Features],
     pairs: Sequence[tuple[int, int]],
     progress: Callable[[float], None],
+    options: InspectionConfig = InspectionConfig(),
 ) -> list[Pair]:
     """Return the pairs with their matches and residuals. progress: told of the share that is done."""
     compared = []
-    for pair in map_ahead(lambda item: _compare(views, features, *item), pairs, None):
+    for pair in map_ahead(lambda item: _compare(views, features, item, options), pairs, None):
         compared.append(pair)
         progress(len(compared) / len(pairs))
     return compared
 
 
-def _compare(views: Sequence[View], features: Sequence[Features], one: int, other: int) -> Pair:
-    matches = match(features[one], features[other])
+def _compare(
+    views: Sequence[View], features: Sequence[Features], pair: tuple[int, int], options: InspectionConfig
+) -> Pair:
+    (one, other), limits = pair, options.pairs
+    matches = match(features[one], features[other], options.features.ratio)
     here, there = features[one].pixels[matches[:, 0]], features[other].pixels[matches[:, 1]]
     scale = max(features[one].scale, features[other].scale)
     residuals = epipolar_residuals(views[one].camera, views[other].camera, here, there) / scale
-    still = (np.linalg.norm(here - there, axis=1) < _INLIER * scale) & (residuals > _OFF)
-    own = ~still & (residuals < _INLIER)  # most pairs agree with their cameras, and need no other geometry
-    if own.sum() < max(FEWEST, _MOST * (~still).sum()):
-        own = _of_one_geometry(here / scale, there / scale, ~still)
-    off = ~still & ~own & (residuals > _OFF)
-    moved = _of_one_geometry(here / scale, there / scale, off).sum()
+    still = (np.linalg.norm(here - there, axis=1) < limits.inlier * scale) & (residuals > limits.off)
+    own = ~still & (residuals < limits.inlier)  # most pairs agree with their cameras, and need no other geometry
+    if own.sum() < max(limits.min_matches, limits.explained * (~still).sum()):
+        own = _of_one_geometry(here / scale, there / scale, ~still, limits)
+    off = ~still & ~own & (residuals > limits.off)
+    moved = _of_one_geometry(here / scale, there / scale, off, limits).sum()
     return Pair(one, other, matches, own, residuals, still, int(moved), scale)
 
 
-def _of_one_geometry(here: np.ndarray, there: np.ndarray, among: np.ndarray) -> np.ndarray:
+def _of_one_geometry(here: np.ndarray, there: np.ndarray, among: np.ndarray, limits: PairOptions) -> np.ndarray:
     """Return which matches [M,2], [M,2], of those `among` [M] bool, one epipolar geometry explains, [M] bool.
 
     None where there are too few.
     """
     found = np.zeros(len(among), bool)
-    if among.sum() >= FEWEST:
-        inside = same_geometry(here[among], there[among])
-        if inside.sum() >= FEWEST:
+    if among.sum() >= limits.min_matches:
+        inside = same_geometry(here[among], there[among], limits.inlier)
+        if inside.sum() >= limits.min_matches:
             found[among] = inside
     return found
 
 
-def same_geometry(here: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """Return which matches [M,2], [M,2] the best fundamental matrix explains, [M] bool; none where there is none."""
+def same_geometry(here: np.ndarray, there: np.ndarray, inlier: float) -> np.ndarray:
+    """Return which matches [M,2], [M,2] the best fundamental matrix explains, [M] bool; none where there is none.
+
+    inlier: the largest distance from an epipolar line, pixels.
+    """
     import cv2  # late: training needs no OpenCV
 
-    found, inside = cv2.findFundamentalMat(here, there, cv2.FM_RANSAC, _INLIER, 0.999, 1000)
+    found, inside = cv2.findFundamentalMat(here, there, cv2.FM_RANSAC, inlier, 0.999, 1000)
     if found is None or found.shape != (3, 3) or inside is None:
         return np.zeros(len(here), bool)
     return np.asarray(inside.ravel() > 0)

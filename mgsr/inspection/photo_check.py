@@ -6,22 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mgsr.config.expert import PhotoCheckOptions
 from mgsr.data.exposure import brightness_offsets, robust_jump
 from mgsr.data.odd_masks import FEWEST, left_out_shares
 from mgsr.data.scene import Scene, View
 from mgsr.data.sharpness import MUCH, lost_sharpness
 from mgsr.data.silhouettes import silhouettes
 from mgsr.inspection.findings import Code, Finding, Severity, pick
-
-_JUMPS = 0.05  # the spread of log light that is more than chance
-_OUTLIER = np.log(2.0)  # of log light against the neighbours', beyond which highlights or shadows are lost
-_SMALL_SHARE, _SMALL_PIXELS = 0.2, 100  # of the shorter side of the image, and in pixels: the object's diameter
-_CUT_OFF = 0.5  # share of the photographs
-_LEFT_OUT = 0.3  # share of the object, as the other masks have it, that a mask leaves out; 0.24 happens with few views
-_OUTLINE_SIDE = 200  # pixels at which masks are compared
-_FOCAL = 0.1  # relative difference of focal lengths
-_WIDE = 100.0  # degrees across the image
-_SMALL_SIDE = 480  # pixels
 
 
 def check_sharpness(views: Sequence[View], names: Sequence[str]) -> list[Finding]:
@@ -43,14 +34,16 @@ def check_sharpness(views: Sequence[View], names: Sequence[str]) -> list[Finding
     ]
 
 
-def check_exposures(views: Sequence[View], names: Sequence[str]) -> list[Finding]:
+def check_exposures(
+    views: Sequence[View], names: Sequence[str], options: PhotoCheckOptions = PhotoCheckOptions()
+) -> list[Finding]:
     """Return a finding where photographs are much brighter or darker than those from about the same place."""
     if len(views) < 6:
         return []
     offsets = brightness_offsets(views)
     spread = robust_jump(offsets)
-    odd = np.flatnonzero(np.abs(offsets - np.median(offsets)) > max(_OUTLIER, 5 * spread))
-    if spread < _JUMPS and not len(odd):
+    odd = np.flatnonzero(np.abs(offsets - np.median(offsets)) > max(np.log(options.outlier), 5 * spread))
+    if spread < options.jumps and not len(odd):
         return []
     return [
         Finding(
@@ -66,7 +59,9 @@ def check_exposures(views: Sequence[View], names: Sequence[str]) -> list[Finding
     ]
 
 
-def check_object_size(scene: Scene, views: Sequence[View]) -> list[Finding]:
+def check_object_size(
+    scene: Scene, views: Sequence[View], options: PhotoCheckOptions = PhotoCheckOptions()
+) -> list[Finding]:
     """Return a finding where the object covers a small part of the photographs, or few pixels."""
     if scene.masked:
         areas = [float((view.alpha > 127).sum()) for view in views if view.alpha is not None]
@@ -78,7 +73,7 @@ def check_object_size(scene: Scene, views: Sequence[View]) -> list[Finding]:
         diameters = 2 * np.array(focal) / np.maximum(far, 1e-9)
     sides = np.array([min(view.camera.width, view.camera.height) for view in views[: len(diameters)]])
     pixels, share = float(np.median(diameters)), float(np.median(diameters / sides))
-    if share >= _SMALL_SHARE and pixels >= _SMALL_PIXELS:
+    if share >= options.small_share and pixels >= options.small_pixels:
         return []
     return [
         Finding(
@@ -92,12 +87,14 @@ def check_object_size(scene: Scene, views: Sequence[View]) -> list[Finding]:
     ]
 
 
-def check_masks(views: Sequence[View], names: Sequence[str]) -> list[Finding]:
+def check_masks(
+    views: Sequence[View], names: Sequence[str], options: PhotoCheckOptions = PhotoCheckOptions()
+) -> list[Finding]:
     """Return findings on masks that cut the object off, or that contradict the others; the views need masks."""
-    outlines = silhouettes(views, _OUTLINE_SIDE)
+    outlines = silhouettes(views, options.contour_side)
     found = []
     cut = np.array([not outline.whole for outline in outlines])
-    if cut.mean() >= _CUT_OFF:
+    if cut.mean() >= options.cut_off:
         found.append(
             Finding(
                 Code.CUT_OFF,
@@ -112,7 +109,7 @@ def check_masks(views: Sequence[View], names: Sequence[str]) -> list[Finding]:
     if len(views) < FEWEST:
         return found
     shares = left_out_shares(views, outlines)
-    odd = np.flatnonzero(shares > _LEFT_OUT)
+    odd = np.flatnonzero(shares > options.left_out)
     if len(odd):
         found.append(
             Finding(
@@ -128,13 +125,15 @@ def check_masks(views: Sequence[View], names: Sequence[str]) -> list[Finding]:
     return found
 
 
-def check_lenses(views: Sequence[View], names: Sequence[str]) -> list[Finding]:
+def check_lenses(
+    views: Sequence[View], names: Sequence[str], options: PhotoCheckOptions = PhotoCheckOptions()
+) -> list[Finding]:
     """Return findings on focal lengths and image sizes."""
     cameras = [view.camera for view in views]
     found = []
     # The diagonal, so that a photograph that was turned counts as the same lens.
     focal = np.array([camera.K[0, 0] / np.hypot(camera.width, camera.height) for camera in cameras])
-    other = np.flatnonzero(np.abs(focal / np.median(focal) - 1) > _FOCAL)
+    other = np.flatnonzero(np.abs(focal / np.median(focal) - 1) > options.focal)
     if len(other):
         found.append(
             Finding(
@@ -148,7 +147,7 @@ def check_lenses(views: Sequence[View], names: Sequence[str]) -> list[Finding]:
             )
         )
     across = [2 * np.degrees(np.arctan(max(camera.width, camera.height) / 2 / camera.K[0, 0])) for camera in cameras]
-    if (widest := float(np.median(across))) > _WIDE:
+    if (widest := float(np.median(across))) > options.wide:
         found.append(
             Finding(
                 Code.WIDE_LENS,
@@ -160,7 +159,7 @@ def check_lenses(views: Sequence[View], names: Sequence[str]) -> list[Finding]:
             )
         )
     side = float(np.median([max(camera.width, camera.height) for camera in cameras]))
-    if side < _SMALL_SIDE:
+    if side < options.small_side:
         found.append(
             Finding(
                 Code.SMALL_IMAGES,

@@ -10,19 +10,10 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from mgsr.config.expert import InspectionConfig, PoseCheckOptions
 from mgsr.inspection.findings import Code, Finding, Severity, pick
-from mgsr.inspection.pairs import FEWEST, Pair
+from mgsr.inspection.pairs import Pair
 from mgsr.inspection.verdicts import Judged, Verdict, usual_residual
-
-CLUSTER = 3  # photographs of a cluster that has a copy of the structure to itself
-_LEAST_CONTRADICTIONS = 2  # pairs that must hold against a photograph or a cluster
-_ACCUSED = 0.5  # share of a cluster that must be in such pairs; a part that repeats elsewhere puts few there
-_MAJORITY = 0.5  # share of the decided photographs that the largest group must have to accuse others
-_MANY = 0.1  # share of the photographs with contradictory poses that is an error
-_INACCURATE = 1.5  # pixels of the images of the features, median of all photographs
-_REPEATED = 0.15  # pairs that contradict, in proportion to those that agree, inside one group
-_CONNECTED = 0.8  # share of the photographs with many features that one group should have
-_MOVING = 0.15  # share of the matches that follow another motion, in the mean of the pairs
 
 _LEAVE_OUT = "`--set flawed=drop` leaves them out"
 _ANEW = "find the cameras anew (`mgsr poses`)"
@@ -33,12 +24,13 @@ class PoseGroups:
     """Photographs grouped by pairs that agree. group [V]: a number for each photograph; the largest group has 0.
 
     contradictions [V]: pairs of the photograph that contradict a photograph of another group. decided [V] bool: whether
-    any pair of it agrees or contradicts.
+    any pair of it agrees or contradicts. options: the limits.
     """
 
     group: np.ndarray
     contradictions: np.ndarray
     decided: np.ndarray
+    options: PoseCheckOptions = PoseCheckOptions()
 
     @property
     def contradictory(self) -> np.ndarray:
@@ -46,16 +38,16 @@ class PoseGroups:
 
         The largest group accuses nobody unless most of the decided photographs are in it.
         """
-        if (self.group == 0).sum() < _MAJORITY * self.decided.sum():
+        if (self.group == 0).sum() < self.options.majority * self.decided.sum():
             return np.zeros(len(self.group), bool)
         against = np.bincount(self.group, weights=self.contradictions)
-        least = np.maximum(_LEAST_CONTRADICTIONS, np.bincount(self.group))
+        least = np.maximum(self.options.min_contradictions, np.bincount(self.group))
         accused = np.bincount(self.group, weights=self.contradictions > 0) / np.bincount(self.group)
-        wrong = (against >= least) & (accused >= _ACCUSED)
+        wrong = (against >= least) & (accused >= self.options.accused)
         return np.asarray((self.group > 0) & wrong[self.group])
 
 
-def group_by_pose(count: int, judged: Judged) -> PoseGroups:
+def group_by_pose(count: int, judged: Judged, options: PoseCheckOptions = PoseCheckOptions()) -> PoseGroups:
     """Group so many photographs by the pairs that agree."""
     agreeing, against = (
         np.array([(pair.one, pair.other) for pair in judged.of(verdict)], np.int64).reshape(-1, 2)
@@ -70,20 +62,26 @@ def group_by_pose(count: int, judged: Judged) -> PoseGroups:
     accused = between[group[between] > 0]
     decided = np.zeros(count, bool)
     decided[agreeing.ravel()] = decided[against.ravel()] = True
-    return PoseGroups(group, np.bincount(accused, minlength=count), decided)
+    return PoseGroups(group, np.bincount(accused, minlength=count), decided, options)
 
 
-def check_poses(names: Sequence[str], features: Sequence[int], judged: Judged) -> list[Finding]:
+def check_poses(
+    names: Sequence[str], features: Sequence[int], judged: Judged, options: InspectionConfig = InspectionConfig()
+) -> list[Finding]:
     """Return what contradicts the poses of the photographs of these names. features: their numbers of features."""
-    groups = group_by_pose(len(names), judged)
+    groups = group_by_pose(len(names), judged, options.poses)
     agree, against = len(judged.of(Verdict.AGREES)), judged.of(Verdict.CONTRADICTS)
     if len(against) > max(agree, len(names) // 4):
         return [_all_wrong(len(against), agree, against)]
-    found = [*_clusters(names, groups, against), *_single(names, groups), *_inaccurate(judged.pairs, len(names))]
+    found = [
+        *_clusters(names, groups, against),
+        *_single(names, groups),
+        *_inaccurate(judged.pairs, len(names), options),
+    ]
     if not found:
-        found += _separate(names, groups, features)
+        found += _separate(names, groups, features, options.pairs.min_matches)
     inside = sum(groups.group[pair.one] == groups.group[pair.other] for pair in judged.off_lines)
-    if inside >= max(5, _REPEATED * agree):
+    if inside >= max(5, options.poses.repeated * agree):
         found.append(
             Finding(
                 Code.SIMILAR_PLACES,
@@ -113,7 +111,7 @@ def _clusters(names: Sequence[str], groups: PoseGroups, against: Sequence[Pair])
     found = []
     sizes = np.bincount(groups.group)
     for number in np.unique(groups.group[groups.contradictory]):
-        if sizes[number] < CLUSTER:
+        if sizes[number] < groups.options.cluster:
             continue
         mine = np.flatnonzero(groups.group == number)
         between = [pair for pair in against if (groups.group[[pair.one, pair.other]] == number).sum() == 1]
@@ -136,10 +134,10 @@ def _clusters(names: Sequence[str], groups: PoseGroups, against: Sequence[Pair])
 def _single(names: Sequence[str], groups: PoseGroups) -> list[Finding]:
     """Return a finding for the photographs, alone or in twos, whose poses contradict the others'."""
     sizes = np.bincount(groups.group)
-    mine = np.flatnonzero(groups.contradictory & (sizes[groups.group] < CLUSTER))
+    mine = np.flatnonzero(groups.contradictory & (sizes[groups.group] < groups.options.cluster))
     if not len(mine):
         return []
-    severity = Severity.ERROR if len(mine) > _MANY * len(names) else Severity.WARNING
+    severity = Severity.ERROR if len(mine) > groups.options.many * len(names) else Severity.WARNING
     return [
         Finding(
             Code.CONTRADICTORY_POSE,
@@ -153,11 +151,12 @@ def _single(names: Sequence[str], groups: PoseGroups) -> list[Finding]:
     ]
 
 
-def _inaccurate(pairs: Sequence[Pair], count: int) -> list[Finding]:
+def _inaccurate(pairs: Sequence[Pair], count: int, options: InspectionConfig) -> list[Finding]:
     """Return a finding where the cameras of so many photographs are not wrong, but less exact than usual."""
-    told = sum(pair.own.sum() >= FEWEST for pair in pairs)
-    middle = usual_residual(pairs)
-    if told < max(5, count / 2) or middle < _INACCURATE:
+    least = options.pairs.min_matches
+    told = sum(pair.own.sum() >= least for pair in pairs)
+    middle = usual_residual(pairs, least)
+    if told < max(5, count / 2) or middle < options.poses.inaccurate:
         return []
     return [
         Finding(
@@ -171,12 +170,13 @@ def _inaccurate(pairs: Sequence[Pair], count: int) -> list[Finding]:
     ]
 
 
-def _separate(names: Sequence[str], groups: PoseGroups, features: Sequence[int]) -> list[Finding]:
+def _separate(names: Sequence[str], groups: PoseGroups, features: Sequence[int], min_matches: int) -> list[Finding]:
     """Return a finding where photographs that have many features fall into groups without a common one."""
-    rich = np.array(features) >= 4 * FEWEST
+    rich = np.array(features) >= 4 * min_matches
     others = rich & groups.decided & (groups.group > 0)
     total = int((rich & groups.decided).sum())
-    if total < max(2 * CLUSTER, len(names) / 2) or others.sum() <= (1 - _CONNECTED) * total:
+    limits = groups.options
+    if total < max(2 * limits.cluster, len(names) / 2) or others.sum() <= (1 - limits.connected) * total:
         return []
     return [
         Finding(
@@ -192,16 +192,17 @@ def _separate(names: Sequence[str], groups: PoseGroups, features: Sequence[int])
     ]
 
 
-def check_movement(pairs: Sequence[Pair]) -> list[Finding]:
+def check_movement(pairs: Sequence[Pair], options: InspectionConfig = InspectionConfig()) -> list[Finding]:
     """Return a finding where a part of the photographs does not move with the cameras."""
-    told = [pair for pair in pairs if len(pair.matches) >= FEWEST]
+    least = options.pairs.min_matches
+    told = [pair for pair in pairs if len(pair.matches) >= least]
     if len(told) < 5:
         return []
     still = np.array([pair.still.sum() for pair in told])
     moved = np.array([pair.moved for pair in told])
     counts = np.array([len(pair.matches) for pair in told])
-    share = float(((still + moved) / counts)[(still + moved) >= FEWEST // 2].sum() / len(told))
-    if share < _MOVING:
+    share = float(((still + moved) / counts)[(still + moved) >= least // 2].sum() / len(told))
+    if share < options.poses.moving:
         return []
     cause = "stands still in the image (a turntable?)" if still.sum() > moved.sum() else "moves by itself"
     return [

@@ -9,12 +9,11 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from mgsr.config.expert import InspectionConfig
 from mgsr.data.camera import Camera
 from mgsr.inspection.features import Features
 from mgsr.inspection.pairs import Pair
 from mgsr.inspection.triangulation import nearest_points, pixel_rays
-
-LEAST = 3  # photographs of a track
 
 
 @dataclass(frozen=True)
@@ -40,8 +39,13 @@ class Tracks:
         return medians
 
 
-def find_tracks(cameras: Sequence[Camera], features: Sequence[Features], pairs: Sequence[Pair]) -> Tracks:
-    """Return the points that three or more photographs share by the matches of the pairs."""
+def find_tracks(
+    cameras: Sequence[Camera],
+    features: Sequence[Features],
+    pairs: Sequence[Pair],
+    least: int = InspectionConfig().track,
+) -> Tracks:
+    """Return the points that at least `least` photographs share by the matches of the pairs."""
     first = np.concatenate([[0], np.cumsum([len(one) for one in features])]).astype(np.int64)
     links = [pair.matches[pair.own] + (first[pair.one], first[pair.other]) for pair in pairs if pair.own.any()]
     edges = np.concatenate(links) if links else np.zeros((0, 2), np.int64)
@@ -52,7 +56,7 @@ def find_tracks(cameras: Sequence[Camera], features: Sequence[Features], pairs: 
     sizes = np.bincount(label, minlength=1)
     # A track with two features of one photograph is a mistake.
     distinct = np.unique(np.stack([label, photo]), axis=1)[0]
-    good = (sizes >= LEAST) & (np.bincount(distinct, minlength=len(sizes)) == sizes)
+    good = (sizes >= least) & (np.bincount(distinct, minlength=len(sizes)) == sizes)
     used = np.flatnonzero(good[label]) if total else np.zeros(0, np.int64)
     names, of_point = np.unique(label[used], return_inverse=True)
     pixels = np.concatenate([one.pixels for one in features])[used]

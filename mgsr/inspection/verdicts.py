@@ -11,18 +11,11 @@ from enum import StrEnum
 
 import numpy as np
 
+from mgsr.config.expert import InspectionConfig, PairOptions
 from mgsr.data.camera import Camera
 from mgsr.inspection.features import Features
-from mgsr.inspection.pairs import FEWEST, Pair
+from mgsr.inspection.pairs import Pair
 from mgsr.inspection.triangulation import spread
-
-# Pixels of the images of the features, and the same in proportion to what is usual in the capture: cameras of phones
-# are less accurate than those of structure from motion, and not contradictory.
-_AGREES = (1.5, 3.0)
-_CONTRADICTS = (5.0, 8.0)
-_MEETS = (2.0, 4.0)
-_MOST_USUAL = 4.0
-_SHARED = 8  # points of three photographs, below which they say nothing
 
 
 class Verdict(StrEnum):
@@ -51,23 +44,29 @@ class Judged:
         return [pair for pair, given in zip(self.pairs, self.lines, strict=True) if given is Verdict.CONTRADICTS]
 
 
-def usual_residual(pairs: Sequence[Pair]) -> float:
+def usual_residual(pairs: Sequence[Pair], min_matches: int = PairOptions().min_matches) -> float:
     """Return the median residual of the pairs with enough matches, pixels of the images of the features; 0 without."""
-    told = [pair.residual for pair in pairs if pair.own.sum() >= FEWEST]
+    told = [pair.residual for pair in pairs if pair.own.sum() >= min_matches]
     return float(np.median(told)) if told else 0.0
 
 
-def judge(cameras: Sequence[Camera], features: Sequence[Features], pairs: Sequence[Pair]) -> Judged:
+def judge(
+    cameras: Sequence[Camera],
+    features: Sequence[Features],
+    pairs: Sequence[Pair],
+    options: InspectionConfig = InspectionConfig(),
+) -> Judged:
     """Return the pairs with their verdicts: by the epipolar lines, and by the points that three photographs share.
 
     A pair agrees if it is part of three photographs whose rays meet. It contradicts if it is only part of such whose
     rays miss each other, and is not proved by others.
     """
-    usual = min(usual_residual(pairs), _MOST_USUAL)
-    lines = [_by_lines(pair, usual) for pair in pairs]
-    meets = {
-        triple: rays < _limit(_MEETS, usual) for triple, rays in _triples(cameras, features, pairs) if rays is not None
-    }
+    limits = options.verdicts
+    usual = min(usual_residual(pairs, options.pairs.min_matches), limits.max_usual)
+    lines = [_by_lines(pair, usual, options) for pair in pairs]
+    close = max(limits.meets, limits.meets_usual * usual)
+    triples = _triples(cameras, features, pairs, limits.min_shared)
+    meets = {triple: rays < close for triple, rays in triples if rays is not None}
     met = {edge for triple, good in meets.items() if good for edge in _edges(triple)}
     missed = {edge for triple, good in meets.items() if not good for edge in _edges(triple)} - met
     verdicts = []
@@ -80,16 +79,14 @@ def judge(cameras: Sequence[Camera], features: Sequence[Features], pairs: Sequen
     return Judged(tuple(pairs), tuple(verdicts), tuple(lines))
 
 
-def _limit(limit: tuple[float, float], usual: float) -> float:
-    return max(limit[0], limit[1] * usual)
-
-
-def _by_lines(pair: Pair, usual: float) -> Verdict:
-    if pair.own.sum() < FEWEST:
+def _by_lines(pair: Pair, usual: float, options: InspectionConfig) -> Verdict:
+    limits = options.verdicts
+    if pair.own.sum() < options.pairs.min_matches:
         return Verdict.UNKNOWN
-    if pair.residual < _limit(_AGREES, usual):
+    if pair.residual < max(limits.agrees, limits.agrees_usual * usual):
         return Verdict.AGREES
-    return Verdict.CONTRADICTS if pair.residual > _limit(_CONTRADICTS, usual) else Verdict.UNKNOWN
+    far = max(limits.contradicts, limits.contradicts_usual * usual)
+    return Verdict.CONTRADICTS if pair.residual > far else Verdict.UNKNOWN
 
 
 Triple = tuple[int, int, int]
@@ -101,11 +98,11 @@ def _edges(triple: Triple) -> tuple[tuple[int, int], ...]:
 
 
 def _triples(
-    cameras: Sequence[Camera], features: Sequence[Features], pairs: Sequence[Pair]
+    cameras: Sequence[Camera], features: Sequence[Features], pairs: Sequence[Pair], least: int
 ) -> list[tuple[Triple, float | None]]:
     """Return each three photographs that were compared with each other, and by how much their rays miss, in pixels.
 
-    None where they share too few points.
+    None where they share fewer than `least` points.
     """
     tables = {(pair.one, pair.other): _table(pair, len(features[pair.one])) for pair in pairs if pair.own.any()}
     after: dict[int, set[int]] = {}
@@ -114,7 +111,7 @@ def _triples(
     found: list[tuple[Triple, float | None]] = []
     for i, j in tables:
         for k in after.get(i, set()) & after.get(j, set()):
-            found.append(((i, j, k), _rays_miss(cameras, features, tables, (i, j, k))))
+            found.append(((i, j, k), _rays_miss(cameras, features, tables, (i, j, k), least)))
     return found
 
 
@@ -131,12 +128,17 @@ def _rays_miss(
     features: Sequence[Features],
     tables: dict[tuple[int, int], np.ndarray],
     triple: Triple,
+    least: int,
 ) -> float | None:
+    """Return by how many pixels the rays of three photographs miss; None where they share fewer than `least` points.
+
+    tables [N]: of each pair, the match of each feature of the first photograph, -1 without one.
+    """
     i, j, k = triple
     first = np.flatnonzero((tables[i, j] >= 0) & (tables[i, k] >= 0))
     second, third = tables[i, j][first], tables[i, k][first]
     same = tables[j, k][second] == third
-    if same.sum() < _SHARED:
+    if same.sum() < least:
         return None
     indices = (first[same], second[same], third[same])
     pixels = [features[photo].pixels[index] for photo, index in zip(triple, indices, strict=True)]

@@ -185,6 +185,7 @@ def _photo(
 
 
 def _rendered(depth: Tensor | None) -> Tensor:
+    """Return a depth map [H,W] that the stage rendered."""
     assert depth is not None, "the stage did not render depth"
     return depth
 

@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 
 from mgsr.config import MeshConfig
-from mgsr.config.expert import ColorOptions
+from mgsr.config.expert import ColorOptions, TextureOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster, RayHits
+from mgsr.geometry.triangles import unit_vectors
 from mgsr.mesh.colors import seen_colors
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.mesh.unwrap import UnwrappedMesh
@@ -20,8 +21,6 @@ from mgsr.mesh.views import SurfaceView
 # Texels in a batch, to bound the memory for all views' samples.
 _TEXELS_AT_ONCE = 1 << 19
 _ROWS_AT_ONCE = 256
-# Cosine between the normals of two surfaces below which they are different sides of a sheet.
-OPPOSED = 0.2
 
 
 @dataclass(frozen=True)
@@ -60,15 +59,18 @@ class Texels:
         return np.asarray(filled[sources[labels]])
 
 
-def find_texels(unwrapped: UnwrappedMesh, full: Mesh) -> Texels:
-    """Find the texels of an unwrapped mesh, and their places on the full surface, with its normals."""
+def find_texels(unwrapped: UnwrappedMesh, full: Mesh, same_side: float = TextureOptions().same_side) -> Texels:
+    """Find the texels of an unwrapped mesh, and their places on the full surface, with its normals.
+
+    same_side: the cosine between the normals of both below which they are different sides of a sheet.
+    """
     index, face, shares = _charted(unwrapped)
     places = _interpolated(unwrapped.vertices, unwrapped.faces[face], shares)
     nearest, at = full.caster.nearest(places)
     points = _interpolated(full.vertices, full.faces[nearest], at)
-    normals = _unit(_interpolated(full.normals, full.faces[nearest], at))
-    own = _unit(_interpolated(unwrapped.normals, unwrapped.faces[face], shares))
-    alike = (normals * own).sum(axis=1, keepdims=True) > OPPOSED
+    normals = unit_vectors(_interpolated(full.normals, full.faces[nearest], at))
+    own = unit_vectors(_interpolated(unwrapped.normals, unwrapped.faces[face], shares))
+    alike = (normals * own).sum(axis=1, keepdims=True) > same_side
     return Texels(unwrapped.size, index, face, shares, points, np.where(alike, normals, own))
 
 
@@ -97,19 +99,21 @@ def bake_colors(
     return painted
 
 
-def bake_normals(texels: Texels, unwrapped: UnwrappedMesh) -> np.ndarray:
+def bake_normals(texels: Texels, unwrapped: UnwrappedMesh, min_z: float = TextureOptions().min_z) -> np.ndarray:
     """Return the normals [T,3] of the full surface in the tangent space of the unwrapped mesh, unit.
 
     x runs along the tangent, y along the bitangent, z along the normal. As in MikkTSpace, the three are interpolated
     and not made unit again, so that a renderer that does the same gets the full surface's normals.
+
+    min_z: the least z; a renderer shows black where the map looks away from the surface.
     """
     baked = np.empty((len(texels.index), 3), np.float32)
     axes = np.stack([unwrapped.tangents[:, :3], unwrapped.bitangents(), unwrapped.normals], axis=2)
     for part in texels.parts():
         frame = np.einsum("pkij,pk->pij", axes[unwrapped.faces[texels.face[part]]], texels.shares[part])
         turned = np.linalg.solve(frame + 1e-9 * np.eye(3), texels.normals[part][..., None])[..., 0]
-        turned[turned[:, 2] < 0.05, 2] = 0.05  # a renderer shows black where the map looks away from the surface
-        baked[part] = _unit(turned)
+        turned[turned[:, 2] < min_z, 2] = min_z
+        baked[part] = unit_vectors(turned)
     return baked
 
 
@@ -152,7 +156,3 @@ def _interpolated(values: np.ndarray, corners: np.ndarray, shares: np.ndarray) -
     """Interpolate vertex values [V,C] in triangles; corners [P,3]: vertex indices; shares [P,3]: barycentric."""
     blended: np.ndarray = np.einsum("pkc,pk->pc", values[corners], shares)
     return blended
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))

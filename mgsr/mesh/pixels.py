@@ -81,6 +81,7 @@ def median_footprint(views: Sequence[SurfaceView], min_alpha: float) -> float | 
 
 
 def _lengths(vectors: np.ndarray) -> np.ndarray:
+    """Return the lengths [H,W] of vectors [H,W,3]."""
     lengths: np.ndarray = np.sqrt(np.einsum("hwc,hwc->hw", vectors, vectors))
     return lengths
 

@@ -7,21 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from mgsr.config import MeshConfig, OutputConfig
-from mgsr.config.expert import ColorOptions
+from mgsr.config.expert import MeshOptions
 from mgsr.data.images import linear_to_srgb, srgb_to_linear, to_uint8
 from mgsr.geometry.decimate import coarser, decimate
 from mgsr.geometry.displace import diffuse
 from mgsr.geometry.mesh import Mesh
-from mgsr.mesh.baking import OPPOSED, bake_colors, bake_normals, find_texels
+from mgsr.mesh.baking import bake_colors, bake_normals, find_texels
 from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.mesh.unwrap import unwrap
 from mgsr.mesh.views import SurfaceView
 from mgsr.shading.ambient_occlusion import trace_hemispheres
 from mgsr.shading.material import MATTE, Material
-from mgsr.shading.static_light import REACH, static_irradiance
-
-SKY_EDGE = 2.0  # pixels; edge length of the mesh on which occlusion and shading are computed
-SKY_FACES = 50_000  # most faces of that mesh
+from mgsr.shading.static_light import static_irradiance
 
 
 def texture_mesh(
@@ -33,27 +30,29 @@ def texture_mesh(
     shaded: bool = True,
     material: Material = MATTE,
     threads: int | None = None,
-    options: ColorOptions = ColorOptions(),
+    options: MeshOptions = MeshOptions(),
 ) -> TexturedMesh:
     """Reduce the full surface to `output.faces`, unwrap it, and bake its maps.
 
     full, views: in one frame. pixel: the size of the photographs' pixels on the surface, in its unit, which a texel
     gets unless `output.texture` gives the number of texels. A metal's base colour is its tint; others blend the views'
     colours, as in `seen_colors`. shaded: whether these colours contain the shading of static light, which is then
-    divided out.
+    divided out. options: all of the mesh's.
     """
-    unwrapped = unwrap(_reduced(full, output.faces), pixel, output.texture)
-    texels = find_texels(unwrapped, full)
-    colors = bake_colors(texels, full, views, config, threads, options)
-    coarse = coarser(Mesh(full.vertices, full.faces), SKY_EDGE * pixel, SKY_FACES)
+    own, static = options.texture, options.texture.static_light
+    unwrapped = unwrap(_reduced(full, output.faces, own.same_side), pixel, output.texture, own.unwrap)
+    texels = find_texels(unwrapped, full, own.same_side)
+    colors = bake_colors(texels, full, views, config, threads, options.colors)
+    coarse = coarser(Mesh(full.vertices, full.faces), own.edge * pixel, own.max_faces)
     seen = trace_hemispheres(coarse, pixel)
     at = coarse.prolongation(texels.points)
     if material.tint is not None:
         colors = np.broadcast_to(linear_to_srgb(material.tint), colors.shape)
     elif shaded:
         around = srgb_to_linear(full.prolongation(coarse.vertices) @ full.colors)
-        light = at @ static_irradiance(coarse, around, seen)
+        light = at @ static_irradiance(coarse, around, seen, options=static)
         colors = linear_to_srgb(np.clip(srgb_to_linear(colors) / light, 0, 1))
+    visible = diffuse(seen.visibility[:, None], coarse.laplacian, static.reach)
     textured: TexturedMesh = TexturedMesh(
         unwrapped.vertices,
         unwrapped.faces,
@@ -61,21 +60,24 @@ def texture_mesh(
         unwrapped.tangents,
         unwrapped.size,
         base_color=texels.picture(_bytes(colors)),
-        normal_map=texels.picture(_bytes(bake_normals(texels, unwrapped) / 2 + 0.5)),
-        occlusion=texels.picture(_bytes(at @ diffuse(seen.visibility[:, None], coarse.laplacian, REACH)[:, 0])),
+        normal_map=texels.picture(_bytes(bake_normals(texels, unwrapped, own.min_z) / 2 + 0.5)),
+        occlusion=texels.picture(_bytes(at @ visible[:, 0])),
         material=material,
     ).with_normals(unwrapped.normals)
     return textured
 
 
-def _reduced(full: ReconstructedMesh, faces: int | None) -> Mesh:
-    """Return the surface with at most `faces` faces, None for all, and with the full surface's normals."""
+def _reduced(full: ReconstructedMesh, faces: int | None, same_side: float) -> Mesh:
+    """Return the surface with at most `faces` faces, None for all, and with the full surface's normals.
+
+    same_side: as for `find_texels`.
+    """
     if faces is None or len(full.faces) <= faces:
         return Mesh(full.vertices, full.faces).with_normals(full.normals)
     reduced = decimate(Mesh(full.vertices, full.faces), faces)
     normals = full.prolongation(reduced.vertices) @ full.normals
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    alike = (normals * reduced.normals).sum(axis=1, keepdims=True) > OPPOSED
+    alike = (normals * reduced.normals).sum(axis=1, keepdims=True) > same_side
     return reduced.with_normals(np.where(alike, normals, reduced.normals).astype(np.float32))
 
 

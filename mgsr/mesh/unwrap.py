@@ -6,15 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsr.config.expert import UnwrapOptions
 from mgsr.geometry.charts import Charts, cut_charts
 from mgsr.geometry.mesh import Mesh
-
-# Texels between two charts. They take the nearest chart's values, so that neither bilinear sampling nor mipmaps mix in
-# a background.
-PADDING = 4
-LEAST_CHART = 4.0  # texels along a side of the smallest chart
-LARGEST = 8192  # texels along a side; larger pictures are too much for many viewers
-FILLED = 0.6  # usual share of an atlas that charts fill
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,17 +28,20 @@ class UnwrappedMesh(Mesh):
         return np.asarray(self.tangents[:, 3:] * np.cross(self.normals, self.tangents[:, :3]))
 
 
-def unwrap(mesh: Mesh, texel: float, side: int | None = None) -> UnwrappedMesh:
+def unwrap(
+    mesh: Mesh, texel: float, side: int | None = None, options: UnwrapOptions = UnwrapOptions()
+) -> UnwrappedMesh:
     """Unwrap a mesh, with its normals.
 
-    texel: the size of a texel in the mesh's unit, where the atlas then does not exceed LARGEST. side: the texels along
-    each side of a square atlas instead, whatever their size.
+    texel: the size of a texel in the mesh's unit; larger if the atlas would exceed `options.max_side`. side: the texels
+    along each side of a square atlas instead, whatever their size.
     """
     area = float(np.linalg.norm(mesh.face_crosses, axis=1).sum()) / 2
-    limit = side or LARGEST
-    texel = max(texel, (area / FILLED) ** 0.5 / limit) if side is None else (area / FILLED) ** 0.5 / side
-    charts = cut_charts(mesh, (LEAST_CHART * texel) ** 2)
-    origin, faces, uvs, size = _packed(charts, texel, limit, side is not None)
+    limit = side or options.max_side
+    full = (area / options.filled) ** 0.5 / limit
+    texel = max(texel, full) if side is None else full
+    charts = cut_charts(mesh, (options.min_chart * texel) ** 2, options.charts)
+    origin, faces, uvs, size = _packed(charts, texel, limit, side is not None, options.padding)
     size = size if side is None else (side, side)
     normals = mesh.normals[charts.origin][origin]
     vertices = mesh.vertices[charts.origin][origin]
@@ -54,20 +51,23 @@ def unwrap(mesh: Mesh, texel: float, side: int | None = None) -> UnwrappedMesh:
 
 
 def _packed(
-    charts: Charts, texel: float, limit: int, fill: bool
+    charts: Charts, texel: float, limit: int, fill: bool, padding: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, int]]:
     """Pack charts into one atlas.
 
-    texel: the size of a texel, or with `fill` whatever makes the atlas about `limit` texels wide. Returns for each new
-    vertex the charts' vertex [V], the faces [F,3] of new vertices, texture coordinates [V,2] 0..1, and the atlas's
-    height and width.
+    texel: the size of a texel, or with `fill` whatever makes the atlas about `limit` texels wide. padding: the texels
+    between two charts. They take the nearest chart's values, so that neither bilinear sampling nor mipmaps mix in a
+    background.
+
+    Returns for each new vertex the charts' vertex [V], the faces [F,3] of new vertices, texture coordinates [V,2] 0..1,
+    and the atlas's height and width.
     """
     import xatlas  # late: it is only needed here
 
     atlas = xatlas.Atlas()
     atlas.add_uv_mesh(charts.places.astype(np.float32), charts.faces.astype(np.uint32))
     pack = xatlas.PackOptions()
-    pack.padding, pack.bilinear = PADDING, True
+    pack.padding, pack.bilinear = padding, True
     if fill:
         pack.resolution = limit
     else:

@@ -89,4 +89,5 @@ def _distances(to_truth: np.ndarray, to_mesh: np.ndarray) -> dict[str, float]:
 
 
 def _mean(values: np.ndarray) -> float:
+    """Return the mean of values [P], NaN without any."""
     return float(values.mean()) if len(values) else float("nan")

@@ -20,7 +20,7 @@ import numpy as np
 from torch import Tensor
 
 
-class Camera(Protocol):
+class PinholeCamera(Protocol):
     """A pinhole camera, of which kernels read these four attributes: `mgsr.data.camera.Camera`.
 
     K [3,3]: pixels, without skew. cam_from_world [4,4]: rigid, OpenCV axes. Kernels read numbers of any type.
@@ -57,7 +57,7 @@ class SurfelSplats(NamedTuple):
 class SurfelView(NamedTuple):
     """The camera of a rendering of surfels, and the options of `mgsr.ops.surfels.SurfelOptions`."""
 
-    camera: Camera
+    camera: PinholeCamera
     near: float
     far: float
     low_pass: float
@@ -123,7 +123,7 @@ class GaussianSplats(NamedTuple):
 class GaussianView(NamedTuple):
     """The camera of a rendering of 3D Gaussians, and the options of `mgsr.ops.gaussians.GaussianOptions`."""
 
-    camera: Camera
+    camera: PinholeCamera
     near: float
     low_pass: float
     compensate: bool
@@ -191,7 +191,7 @@ class EnvironmentMapLookup(NamedTuple):
     maps: Tensor
     normals: Tensor
     pixels: Tensor | None
-    camera: Camera
+    camera: PinholeCamera
 
 
 class ImagePair(NamedTuple):
@@ -217,7 +217,7 @@ class DepthSurface(NamedTuple):
 
     depth: Tensor
     alpha: Tensor | None
-    camera: Camera
+    camera: PinholeCamera
 
 
 class AdamParameter(NamedTuple):
@@ -230,6 +230,52 @@ class AdamParameter(NamedTuple):
     first: Tensor
     second: Tensor
     column_scales: Tensor | None
+
+
+class ImageInBytes(NamedTuple):
+    """A photograph in bytes.
+
+    image [H,W,3] uint8: straight colours. mask [H,W] uint8, or None. off_edge [H,W] bool: which pixels count, or None.
+    """
+
+    image: Tensor
+    mask: Tensor | None
+    off_edge: Tensor | None
+
+
+class CompositedImage(NamedTuple):
+    """A photograph on a background: color [H,W,3]; alpha and weights [H,W], 0..1, None where they are not needed."""
+
+    color: Tensor
+    alpha: Tensor | None
+    weights: Tensor | None
+
+
+class WeightedDifference(NamedTuple):
+    """The difference (a - b) * first * second - offset of arrays [...]; None is 0 for b, and 1 for the weights."""
+
+    a: Tensor
+    b: Tensor | None
+    first: Tensor | None
+    second: Tensor | None
+    offset: float
+
+
+class UnlitGradients(NamedTuple):
+    """The gradients of an image before it is lit: v_unlit [H,W,3] and v_alpha [H,W]."""
+
+    v_unlit: Tensor
+    v_alpha: Tensor
+
+
+class SplatStatistics(NamedTuple):
+    """The statistics of N splats for densification, which an image changes in place.
+
+    gradient_sum [N]: the sum of the lengths of the gradients; seen [N]: the images that show the splat.
+    """
+
+    gradient_sum: Tensor
+    seen: Tensor
 
 
 class StereoViews(NamedTuple):

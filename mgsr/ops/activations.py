@@ -79,6 +79,7 @@ def activated_vjp(
 
 
 def _vjp(kind: Activation, used: Tensor, v_used: Tensor | None) -> Tensor | None:
+    """Return the gradient [...] of a stored parameter, from the activated values and their gradient [...]."""
     if v_used is None:
         return None
     if kind is Activation.SIGMOID:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
 from mgsr.native.cuda.lights import LightKernels
+from mgsr.native.structs import UnlitGradients
 
 # sRGB = (1 + OFFSET) light^(1/2.4) - OFFSET, away from black (IEC 61966-2-1).
 OFFSET = 0.055
@@ -47,7 +48,8 @@ def apply_shading_vjp(
     v_unlit = torch.empty_like(v_image)
     if launcher is not None:
         total = torch.empty_like(shading)
-        LightKernels(launcher).light_up_vjp(v_image, background, shading, OFFSET, v_alpha, v_unlit, total)
+        out = UnlitGradients(v_unlit=v_unlit, v_alpha=total)
+        LightKernels(launcher).light_up_vjp(v_image, background, shading, OFFSET, v_alpha, out)
         return v_unlit, total
     for channel in range(3):
         torch.mul(v_image[..., channel], shading, out=v_unlit[..., channel])

@@ -10,6 +10,7 @@ from torch import Tensor
 from mgsr.checks import check_tensors
 from mgsr.native.cuda.launcher import launcher_for
 from mgsr.native.cuda.terms import Region, Sums, TermKernels
+from mgsr.native.structs import CompositedImage, ImageInBytes, WeightedDifference
 from mgsr.ops.arrays import plain
 from mgsr.ops.terms import Slope, Term, Total, wanted
 
@@ -30,7 +31,9 @@ def composite(
         color, alpha = background.new_empty(height, width, 3), background.new_empty(height, width)
         weights = None if off_edge is None else torch.empty_like(alpha)
         edge = None if off_edge is None else plain(off_edge)
-        TermKernels(launcher).composite(plain(image), plain(mask), edge, plain(background), color, alpha, weights)
+        photograph = ImageInBytes(image=plain(image), mask=plain(mask), off_edge=edge)
+        out = CompositedImage(color=color, alpha=alpha, weights=weights)
+        TermKernels(launcher).composite(photograph, plain(background), out)
         return color, alpha, weights
     # Filling whole rows and then compositing only the mask's pixels is faster than compositing every pixel.
     color = background.repeat(width).expand(height, -1).contiguous().view(height, width, 3)
@@ -99,7 +102,8 @@ def squares_term(
     else:
         differences = torch.empty_like(own)
         number, divisor = (1.0, by) if isinstance(by, Tensor) else (by, None)
-        sums = TermKernels(launcher).squares(own, other, (first, second), offset, number, divisor, differences)
+        difference = WeightedDifference(a=own, b=other, first=first, second=second, offset=offset)
+        sums = TermKernels(launcher).squares(difference, number, divisor, differences)
     # Weights are 0 or 1 and the differences already contain them, so no second multiplication is needed.
     slopes = [Slope(a, differences, 2.0)] if of_a else []
     return Term(sums, (*slopes, *([Slope(b, differences, -2.0)] if b is not None and of_b else [])))
@@ -143,12 +147,14 @@ def steps_term(maps: Tensor) -> Term:
 
 
 def _absolute(alpha: Tensor, mask: Tensor) -> tuple[float, Tensor]:
+    """Return the sum of |alpha - mask| over pixels [H,W], and its derivative [H,W]."""
     difference = alpha - mask
     slopes = difference.sign()
     return float(difference.reshape(-1) @ slopes.reshape(-1)), slopes
 
 
 def _cross_entropy(alpha: Tensor, mask: Tensor) -> tuple[float, Tensor]:
+    """Return the sum of the cross entropy of alpha and a mask [H,W], and its derivative [H,W]."""
     inside = alpha.clamp(LEAST, 1 - LEAST)
     total = torch.nn.functional.binary_cross_entropy(inside, mask, reduction="sum")
     slopes = (inside - mask) / (inside * (1 - inside))

@@ -8,6 +8,7 @@ from torch import Tensor
 from mgsr.checks import check_tensors
 from mgsr.native.cuda.launcher import launcher_for
 from mgsr.native.cuda.statistics import gather
+from mgsr.native.structs import SplatStatistics
 from mgsr.ops.arrays import plain
 
 
@@ -29,7 +30,8 @@ def gather_gradients(
     check_tensors(gradient_sum=(gradient_sum, "N"), seen=(seen, "N"), v_means2d=(v_means2d, "N 2"), radii=(radii, "N"))
     launcher = launcher_for(seen)
     if launcher is not None:
-        gather(launcher, gradient_sum, seen, plain(v_means2d), plain(radii), scale, bad)
+        statistics = SplatStatistics(gradient_sum=gradient_sum, seen=seen)
+        gather(launcher, statistics, plain(v_means2d), plain(radii), scale, bad)
         return
     gradient_sum += torch.linalg.vector_norm(v_means2d * v_means2d.new_tensor(scale), dim=1)
     seen += radii > 0

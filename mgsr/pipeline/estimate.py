@@ -95,7 +95,7 @@ def _estimates(checked: CheckedScene, config: Config, device: Device, step: Step
 
 
 def _ball(config: Config) -> StartingPoints:
-    """Return starting points on a ball, which take an iteration as long as those on a surface."""
+    """Return starting points on a ball. An iteration with them takes as long as with points on a surface."""
     rng = np.random.default_rng(config.seed)
     normals = rng.normal(size=(config.train.surfels.max_start, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)

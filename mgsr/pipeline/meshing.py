@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from mgsr.config import Config, MeshColor
+from mgsr.config.expert import GlossOptions
 from mgsr.data.camera import pixel_size
 from mgsr.data.scene import Scene
 from mgsr.gaussians.trained_model import TrainedModel
@@ -19,9 +20,6 @@ from mgsr.pipeline.steps import always
 from mgsr.shading.gloss import fit_gloss, mirrorings
 from mgsr.shading.light_estimate import LightKind
 from mgsr.shading.material import MATTE, Material
-
-GLOSS_EDGE = 3.0  # pixels; edge length of the mesh whose vertices the fit of the gloss observes
-GLOSS_FACES = 150_000  # most faces of that mesh
 
 
 def make_mesh(
@@ -38,7 +36,7 @@ def make_mesh(
     """
     views = surface_views(model, scene, config)
     outlined = outlined_scene(model, scene, config)
-    silhouettes = scene_silhouettes(outlined)
+    silhouettes = scene_silhouettes(outlined, config.expert.mesh.mask_side)
     mesh = extract_mesh(
         views,
         config.mesh,
@@ -66,12 +64,13 @@ def make_textured(model: TrainedModel, scene: Scene, config: Config, mesh: Recon
     views = surface_views(model, scene, at_photographs)
     shaded = static and config.mesh.color is MeshColor.TRANSMITTED
     glossy = static and (model.environment_map is not None or mesh.light is LightKind.ENVIRONMENT)
-    material = _fit_material(full, scene, pixel) if glossy else MATTE
-    textured = texture_mesh(full, views, pixel, config.output, config.mesh, shaded, material)
+    material = _fit_material(full, scene, pixel, config.expert.mesh.texture.gloss) if glossy else MATTE
+    options = config.expert.mesh
+    textured = texture_mesh(full, views, pixel, config.output, config.mesh, shaded, material, options=options)
     return textured.in_frame(frame.to_user(textured.vertices))
 
 
-def _fit_material(full: Mesh, scene: Scene, pixel: float) -> Material:
+def _fit_material(full: Mesh, scene: Scene, pixel: float, options: GlossOptions) -> Material:
     """Return the material of a glossy surface in the scene's frame; pixel: a photograph's pixel size on it."""
-    observed = coarser(Mesh(full.vertices, full.faces), GLOSS_EDGE * pixel, GLOSS_FACES)
-    return fit_gloss(mirrorings(observed, scene.train, pixel))
+    observed = coarser(Mesh(full.vertices, full.faces), options.edge * pixel, options.max_faces)
+    return fit_gloss(mirrorings(observed, scene.train, pixel, options=options), options)

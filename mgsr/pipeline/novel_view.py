@@ -65,5 +65,6 @@ def _checked(camera: Camera) -> Camera:
 
 
 def _unit(normal: np.ndarray) -> np.ndarray:
+    """Return unit normals [H,W,3] float32; 0 stays 0."""
     lengths = np.linalg.norm(normal, axis=-1, keepdims=True)
     return np.where(lengths > 0, normal / np.maximum(lengths, 1e-12), 0).astype(np.float32)

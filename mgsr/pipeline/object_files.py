@@ -43,7 +43,7 @@ def ground_of(scene: Scene, found: FoundObject) -> np.ndarray | None:
 
 
 def require_place_for_masks(out: Path) -> None:
-    """Raise ConfigError where `out` has a folder of masks that is no run's, before the work and not after it."""
+    """Raise ConfigError, before any work, if `out` has a folder of masks that no run has written."""
     if (out / MASKS).exists() and not (out / OBJECT).is_file():
         raise ConfigError(
             f"{out / MASKS}: this folder exists and does not belong to a run of MGSR; choose another folder for the "
@@ -52,7 +52,7 @@ def require_place_for_masks(out: Path) -> None:
 
 
 def clear_object(out: Path) -> None:
-    """Remove an earlier run's files of an object; masks that are no run's stay."""
+    """Remove an earlier run's files of an object; masks that no run has written stay."""
     (out / BACKGROUND).unlink(missing_ok=True)
     if (out / OBJECT).is_file():
         shutil.rmtree(out / MASKS, ignore_errors=True)

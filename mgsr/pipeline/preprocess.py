@@ -99,7 +99,7 @@ def load_again(path: Path, out: Path, config: Config) -> Scene:
     Raises SceneError, also where the cameras are missing.
     """
     search = CameraSearch(folder=out / CAMERAS, known_only=True, seed=config.seed)
-    return without_flawed(load_scene(path, config.data, search=search), config.data)
+    return without_flawed(load_scene(path, config.data, search=search), config)
 
 
 def as_read(scene: Scene, config: Config) -> Config:
@@ -214,12 +214,12 @@ def _object_alone(
 
     points: chooses the starting points during a step.
     """
-    text = "looking for the object"
+    text, options = "looking for the object", config.expert.segmentation
     box = object_box(config.data.object_box)
     if box is not None:
         box = scene.user_from_scene.to_scene(box)
     with step("object", text):
-        found = find_object(scene, start, config.seed, box, step.should_stop, step.share("object", text))
+        found = find_object(scene, start, config.seed, box, step.should_stop, step.share("object", text), options)
         if isinstance(found, NoObject):
             note = f"everything in view is reconstructed, because no single object was found: {found.reason}"
         else:

@@ -1,4 +1,4 @@
-"""Rendering of the trained branches: the test views for the person, the training views for the surface."""
+"""Rendering of the trained branches: the test views for the user, the training views for the surface."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from mgsr.config import Config, MeshColor, SurfaceDepth
+from mgsr.config.expert import MeshOptions
 from mgsr.data.backdrop import WHITE, Color
 from mgsr.data.camera import Camera
 from mgsr.data.images import to_uint8
@@ -25,9 +26,6 @@ from mgsr.renderers.both import render_both
 from mgsr.renderers.gaussians import render_gaussians
 from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
 from mgsr.renderers.surfels import render_surfels
-
-# Masks are reduced to this side for the surface: their outlines are known to a fraction of a pixel.
-MASK_SIDE = 800
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,7 @@ def _render_object(
 ) -> RenderedView:
     """Render the branches, without a background; the arguments are those of `render_camera`."""
     light = None if shading is None else torch.from_numpy(shading).to(model.device) / 255
-    flat, full = _see(model, camera, depth=True, shading=light)
+    flat, full = render_both(model, camera, depth=True, shading=light)
     images = _surface(flat, full, camera, depth)
     if full is None:
         assert flat is not None
@@ -157,11 +155,11 @@ def outlined_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
     return with_masks(scene, masks) if leave_borders_free(masks) else scene
 
 
-def scene_silhouettes(scene: Scene) -> list[Silhouette]:
+def scene_silhouettes(scene: Scene, side: int = MeshOptions().mask_side) -> list[Silhouette]:
     """Return the silhouettes of the training photographs' masks; none where the scene has none."""
     if not scene.masked:
         return []
-    return silhouettes(scene.train, MASK_SIDE)
+    return silhouettes(scene.train, side)
 
 
 def _opacity(model: TrainedModel, camera: Camera) -> np.ndarray:
@@ -182,17 +180,12 @@ def _resized(valid: np.ndarray | None, camera: Camera) -> np.ndarray | None:
 
 
 def _surface_view(model: TrainedModel, camera: Camera, config: Config, mask: np.ndarray | None) -> SurfaceView:
-    flat, full = _see(model, camera, depth=model.surfels is None)
+    """Render what a camera shows of the surface, with the photograph's mask [H,W] or None."""
+    flat, full = render_both(model, camera, depth=model.surfels is None)
     depth, normal = _surface(flat, full, camera, config.train.paper.surface_depth)
     shape = flat if flat is not None else full
     assert shape is not None
     return SurfaceView(camera, depth, normal, _numpy(shape.alpha), _surface_color(flat, full, config.mesh.color), mask)
-
-
-def _see(
-    model: TrainedModel, camera: Camera, depth: bool, shading: Tensor | None = None
-) -> tuple[SurfelOutputs | None, GaussianOutputs | None]:
-    return render_both(model, camera, depth=depth, shading=shading)
 
 
 def _surface(
@@ -215,4 +208,5 @@ def _surface_color(flat: SurfelOutputs | None, full: GaussianOutputs | None, kin
 
 
 def _numpy(image: Tensor) -> np.ndarray:
+    """Return an image [H,W] or [H,W,C] as an array."""
     return image.cpu().numpy()

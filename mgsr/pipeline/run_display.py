@@ -14,7 +14,7 @@ from mgsr.pipeline.progress import Event
 from mgsr.pipeline.run_log import RunLog, event_line
 from mgsr.training.progress import Progress
 
-# Seconds between two lines of training on a console that is no terminal.
+# Seconds between two lines of training on a console that is not a terminal.
 LINE_EVERY = 2.0
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 
-from mgsr.config import Config, DataConfig, Flawed
+from mgsr.config import Config, Flawed
 from mgsr.data.scene import Scene
 from mgsr.errors import SceneError
 from mgsr.inspection.findings import Code, Inspection, shown
@@ -35,7 +35,7 @@ def check_scene(scene: Scene, config: Config, step: Steps) -> CheckedScene:
         return CheckedScene(scene, None)
     text = "checking photographs and cameras"
     with step("check", text):
-        inspection = inspect_scene(scene, step.share("check", text))
+        inspection = inspect_scene(scene, step.share("check", text), config.expert.inspection)
         for finding in inspection.findings:
             if finding.code not in _NOTED:
                 step.progress(Event("check", finding.line))
@@ -48,12 +48,14 @@ def check_scene(scene: Scene, config: Config, step: Steps) -> CheckedScene:
     return CheckedScene(scene, inspection)
 
 
-def without_flawed(scene: Scene, config: DataConfig) -> Scene:
+def without_flawed(scene: Scene, config: Config) -> Scene:
     """Return the scene under `Flawed.DROP` without the photographs whose poses contradict what they show.
 
     Raises SceneError.
     """
-    return without_contradictory(scene, inspect_scene(scene)) if config.flawed is Flawed.DROP else scene
+    if config.data.flawed is not Flawed.DROP:
+        return scene
+    return without_contradictory(scene, inspect_scene(scene, options=config.expert.inspection))
 
 
 def without_contradictory(scene: Scene, inspection: Inspection) -> Scene:

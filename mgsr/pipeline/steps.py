@@ -49,7 +49,7 @@ class StepClock:
 
 
 class Steps:
-    """The steps of a run: each is announced and timed, and the wish to stop is heeded before it begins."""
+    """The steps of a run: each is announced and timed; before it begins, a request to stop ends the run."""
 
     def __init__(self, clock: StepClock, progress: EventCallback, should_stop: StopCheck) -> None:
         self.clock = clock

@@ -17,8 +17,8 @@ INTERRUPTED = 130
 _ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
-class StopWish:
-    """The wish of the person, or the system, that the work stop; false until it is asked for."""
+class StopFlag:
+    """A request of the user or the system to stop the work: false until it comes."""
 
     def __init__(self) -> None:
         self.asked = False
@@ -28,22 +28,22 @@ class StopWish:
 
 
 @contextmanager
-def stop_on_signals() -> Iterator[StopWish]:
+def stop_on_signals() -> Iterator[StopFlag]:
     """Yield a stop request, which the first SIGINT or SIGTERM inside the block sets.
 
     A second signal stops at once (KeyboardInterrupt).
     """
-    wish = StopWish()
+    flag = StopFlag()
 
     def ask(number: int, frame: FrameType | None) -> None:
         """Request a stop. Raises KeyboardInterrupt the second time."""
-        if wish.asked:
+        if flag.asked:
             raise KeyboardInterrupt
-        wish.asked = True
+        flag.asked = True
 
     before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield wish
+        yield flag
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -1,4 +1,4 @@
-"""The decisions that were made on the person's behalf, told from the facts in report.json."""
+"""The decisions that a run makes for the user, as report.json records them."""
 
 from __future__ import annotations
 

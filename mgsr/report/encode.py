@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsr.data.images import reduce_area
+from mgsr.data.images import reduce_area, to_uint8
 from mgsr.errors import MgsrError
 
 QUALITY = 88  # of WebP, 0 to 100: no visible blocks in normals and smooth shading
@@ -31,11 +31,11 @@ def shrunk(pixels: np.ndarray, max_side: int) -> np.ndarray:
         return pixels
     size = max(1, round(width * factor)), max(1, round(height * factor))
     if pixels.shape[2] == 3:
-        return _rounded(reduce_area(pixels, *size))
+        return to_uint8(reduce_area(pixels, *size))
     alpha = pixels[..., 3:].astype(np.float32)
     mean = reduce_area(np.concatenate([pixels[..., :3] * (alpha / 255), alpha], axis=-1), *size)
     mean[..., :3] /= np.maximum(mean[..., 3:] / 255, 1e-6)
-    return _rounded(mean)
+    return to_uint8(mean)
 
 
 def webp(pixels: np.ndarray) -> bytes:
@@ -60,8 +60,3 @@ def webp(pixels: np.ndarray) -> bytes:
         if not written:
             raise MgsrError(f"report: a picture was not written: {output.geterror()}")
         return path.read_bytes()
-
-
-def _rounded(values: np.ndarray) -> np.ndarray:
-    rounded: np.ndarray = np.clip(np.rint(values), 0, 255).astype(np.uint8)
-    return rounded

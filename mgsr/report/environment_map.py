@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch.nn.functional import grid_sample
 
+from mgsr.data.images import to_uint8
 from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.renderers.environment_map import octahedral
 from mgsr.report.pictures import Picture
@@ -60,5 +61,5 @@ def _looked_up(light: torch.Tensor, directions: np.ndarray) -> np.ndarray:
 
 
 def _picture(image: np.ndarray) -> np.ndarray:
-    rounded: np.ndarray = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
-    return rounded
+    """Return an image [H,W,3] of 0..1 as uint8."""
+    return to_uint8(np.clip(image, 0, 1) * 255)

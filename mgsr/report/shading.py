@@ -211,11 +211,13 @@ def _side_up(rights: np.ndarray) -> np.ndarray:
 
 
 def _nearest_axis(direction: np.ndarray) -> np.ndarray:
+    """Return the signed axis [3] that is nearest to a direction [3]."""
     axis = int(np.abs(direction).argmax())
     return np.asarray(np.sign(direction[axis]) * np.eye(3)[axis])
 
 
 def _near(direction: np.ndarray, axis: np.ndarray) -> bool:
+    """Return whether a direction [3] is within NEAR_AXIS of an axis [3], both unit."""
     return bool(direction @ axis > np.cos(np.radians(NEAR_AXIS)))
 
 
@@ -309,4 +311,5 @@ def _raycaster(mesh: Mesh) -> Any:
 
 
 def _tensor(values: np.ndarray) -> Any:
+    """Return an array [...] as Open3D's float32 tensor."""
     return load_open3d().core.Tensor(np.ascontiguousarray(values, np.float32))

@@ -16,23 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from mgsr.config.expert import BackgroundRenderOptions
 from mgsr.data.camera import Camera
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.support_plane import SupportPlane
 
-NEAREST = 24  # other cameras to sample, the most similar viewing directions first
-SAMPLES = 9  # colours to collect for a pixel
-LEAST_SAMPLES = 2  # with fewer, the background counts as unknown
-AGREEING = 2  # photographs that must show a colour at a place before it is photo-consistent
-ABOVE = (0.05, 0.1, 0.2, 0.4)  # ball radii; heights above the support plane at which a pixel's ray is tested
-COVERED = 0.3  # rendered opacity above which surfels form a surface
-PLANE_RADIUS = 4.0  # ball radii around the scene's centre within which the support plane is visible
-PLANE_FIRST = 1.05  # times the surfels' depth; the plane wins if its depth is less than this
 COLUMNS = 1024  # width of the coordinate maps for cv2.remap
 SAME = 1e-6  # ball radii; cameras closer than this are the same camera
-FAR = 20.0  # ball radii; camera z of a pixel whose ray meets no surface
 
 Window = tuple[slice, slice]
 
@@ -42,11 +34,12 @@ class ExpectedBackground:
     """The background's colours in a window of a photograph.
 
     color [h,w,3]: the median of the samples, sRGB 0..1. spread [h,w]: the median absolute deviation of the samples, in
-    the channel that differs most. known [h,w] bool: whether there are LEAST_SAMPLES samples.
+    the channel that differs most. known [h,w] bool: whether there are enough samples.
 
     behind, above [h,w]: photo-consistency where the background is unknown, as a squared colour difference; infinite
-    elsewhere. It compares the photograph with the AGREEING-th most similar one, whatever that shows there: `behind` at
-    the background point, `above` at the best of the points above the support plane on the same ray.
+    elsewhere. Of the differences from the other photographs, the `agreeing`-th smallest one counts, whatever that
+    photograph shows there. `behind` is at the background point, `above` at the best of the points above the support
+    plane on the same ray.
     """
 
     color: np.ndarray
@@ -62,6 +55,7 @@ class BackgroundSources:
 
     cameras, images: the photographs, [H,W,3] uint8 sRGB. clear [H,W] uint8, for each photograph: 255 where it certainly
     shows background, else 0. surfels: those of the background. plane: the support plane, None without one.
+    options: of the rendering.
     """
 
     cameras: Sequence[Camera]
@@ -69,6 +63,7 @@ class BackgroundSources:
     clear: Sequence[np.ndarray]
     surfels: SurfelModel
     plane: SupportPlane | None
+    options: BackgroundRenderOptions = BackgroundRenderOptions()
 
     def expected(self, image: np.ndarray, camera: Camera, window: Window, asked: np.ndarray) -> ExpectedBackground:
         """Render the background in a window of a camera's image, from the other photographs alone.
@@ -98,19 +93,19 @@ class BackgroundSources:
 
     def _samples(self, camera: Camera, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return median [P,3], spread [P] and known [P] of the background's colours at places [P,3]."""
-        colors = np.full((SAMPLES, len(places), 3), np.inf, np.float32)
+        colors = np.full((self.options.samples, len(places), 3), np.inf, np.float32)
         count, left = np.zeros(len(places), int), np.arange(len(places))
         for index in self._order(camera):
             color, clear = self._seen(index, places[left], self.clear[index])
             shown = left[clear]
             colors[count[shown], shown] = color[clear]
             count[shown] += 1
-            left = left[count[left] < SAMPLES]
+            left = left[count[left] < self.options.samples]
             if len(left) == 0:
                 break
         middle = np.maximum((count - 1) // 2, 0)[None]
         median = np.take_along_axis(np.sort(colors, axis=0), middle[..., None], 0)[0]
-        known = count >= LEAST_SAMPLES
+        known = count >= self.options.min_samples
         median[~known] = 0
         apart = np.where(np.isfinite(colors), np.abs(colors - median), np.inf).max(axis=-1)
         spread = np.take_along_axis(np.sort(apart, axis=0), middle, 0)[0]
@@ -126,14 +121,18 @@ class BackgroundSources:
             return above, above
         behind, low = self._difference(camera, own, places), self.plane.heights(places)
         steps = (camera.center - places) / np.maximum(self.plane.heights(camera.center[None]) - low, 1e-6)[:, None]
-        for height in ABOVE:
+        for test in range(self.options.tests):
+            height = self.options.test_height * 2**test
             raised = places + np.maximum(height - low, 0)[:, None] * steps
             above = np.minimum(above, self._difference(camera, own, raised))
         return behind, above
 
     def _difference(self, camera: Camera, own: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Return the AGREEING-th smallest squared difference [P] of colours [P,3] from other photographs at places."""
-        smallest = np.full((AGREEING, len(places)), np.inf, np.float32)  # sorted, the least first
+        """Return the squared differences [P] of colours [P,3] from other photographs at places [P,3].
+
+        Of each place, the `options.agreeing`-th smallest one counts.
+        """
+        smallest = np.full((self.options.agreeing, len(places)), np.inf, np.float32)  # sorted, the least first
         for index in self._order(camera):
             color, inside = self._seen(index, places)
             other = np.where(inside, ((color - own) ** 2).sum(axis=-1), np.inf).astype(np.float32)
@@ -144,12 +143,12 @@ class BackgroundSources:
         return np.asarray(smallest[-1])
 
     def _order(self, camera: Camera) -> np.ndarray:
-        """Return the indices [K] of the NEAREST other cameras, by their angle to the camera at the scene's centre."""
+        """Return the indices [K] of the nearest other cameras, by their angle to the camera at the scene's centre."""
         centers = np.stack([camera.center, *(other.center for other in self.cameras)])
         ways = centers / np.maximum(np.linalg.norm(centers, axis=1, keepdims=True), 1e-12)
         itself = np.linalg.norm(centers[1:] - centers[0], axis=1) < SAME
         order = np.argsort(-(ways[1:] @ ways[0]), kind="stable")
-        nearest: np.ndarray = order[~itself[order]][:NEAREST]
+        nearest: np.ndarray = order[~itself[order]][: self.options.cameras]
         return nearest
 
     def _places(self, camera: Camera, window: Window) -> np.ndarray:
@@ -157,7 +156,7 @@ class BackgroundSources:
         with torch.no_grad():
             shown = render_surfels(self.surfels, camera, torch.zeros(3), 0)
         depth, alpha = shown.median_depth.numpy()[window], shown.alpha.numpy()[window]
-        depth = np.where((depth > 0) & (alpha > COVERED), depth, np.inf)
+        depth = np.where((depth > 0) & (alpha > self.options.covered), depth, np.inf)
         rays = pixel_rays(camera)[window]
         if self.plane is not None:
             slope = rays @ self.plane.normal
@@ -165,9 +164,9 @@ class BackgroundSources:
                 plane = -self.plane.heights(camera.center[None])[0] / slope
             plane = np.where((plane > 0) & np.isfinite(plane), plane, np.inf)
             hit = camera.center + rays * np.where(np.isfinite(plane), plane, 0)[..., None]
-            near = np.isfinite(plane) & (np.linalg.norm(hit, axis=-1) < PLANE_RADIUS)
-            depth = np.where(near & (plane < PLANE_FIRST * depth), plane, depth)
-        return np.asarray(camera.center + rays * np.where(np.isfinite(depth), depth, FAR)[..., None])
+            near = np.isfinite(plane) & (np.linalg.norm(hit, axis=-1) < self.options.plane_radius)
+            depth = np.where(near & (plane < self.options.plane_first * depth), plane, depth)
+        return np.asarray(camera.center + rays * np.where(np.isfinite(depth), depth, self.options.far)[..., None])
 
     def _seen(self, index: int, places: np.ndarray, allowed: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Sample a photograph at points [P,3] of the scene.

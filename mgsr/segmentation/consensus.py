@@ -6,19 +6,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mgsr.config.expert import TolerantHullOptions
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.hull import Hull, carve, cut_at
 from mgsr.data.silhouettes import Silhouette, signed_distance
 from mgsr.geometry.raycast import RayCaster
 from mgsr.segmentation.support_plane import SupportPlane
 
-RESOLUTION = 128  # voxels along a side
-HALF = 0.6  # half the side of the carved cube, as a share of the box's longest side
-SUNK = 1.0  # pixels; depth below the support plane at which the hull ends
-
 
 def tolerant_hull(
-    masks: Sequence[np.ndarray], cameras: Sequence[Camera], box: np.ndarray, plane: SupportPlane | None, dissent: float
+    masks: Sequence[np.ndarray],
+    cameras: Sequence[Camera],
+    box: np.ndarray,
+    plane: SupportPlane | None,
+    dissent: float,
+    options: TolerantHullOptions = TolerantHullOptions(),
 ) -> Hull:
     """Carve a visual hull that keeps a place even if a few masks exclude it.
 
@@ -28,10 +30,11 @@ def tolerant_hull(
     """
     outlines = [Silhouette(camera, signed_distance(mask)) for mask, camera in zip(masks, cameras, strict=True)]
     wrong = max(1, int(dissent * len(outlines)))
-    hull = carve(outlines, box.mean(axis=0), HALF * float((box[1] - box[0]).max()), RESOLUTION, wrong)
+    half = options.half * float((box[1] - box[0]).max())
+    hull = carve(outlines, box.mean(axis=0), half, options.resolution, wrong)
     if plane is None:
         return hull
-    return cut_at(hull, plane.coefficients, SUNK * pixel_size(cameras, np.zeros(3)))
+    return cut_at(hull, plane.coefficients, options.sunk * pixel_size(cameras, np.zeros(3)))
 
 
 def silhouette(caster: RayCaster, camera: Camera) -> np.ndarray:

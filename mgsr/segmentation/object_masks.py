@@ -22,6 +22,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from mgsr.config import make_config
+from mgsr.config.expert import ObjectSearchOptions, SegmentationConfig
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.hull import Hull, hull_surface
 from mgsr.data.scene import Scene, View
@@ -38,31 +39,6 @@ from mgsr.segmentation.support_plane import SupportPlane, find_support_plane
 from mgsr.start.points import StartingPoints
 from mgsr.training.proxy_model import small_view
 from mgsr.training.run import Training
-
-SIDE, FINE_SIDE = 480, 960  # pixels; longer side of the photographs for training, and for the final masks
-ITERATIONS = 400  # of the training
-DISSENT = (0.1, 0.08, 0.06)  # share of the masks that may exclude a place of the hull, for each round
-SOLID = 0.2  # least opacity of the object's first surfels
-NEAR = 1.5  # ball radii; distance from the scene's centre within which the object stands
-MIDDLE = 0.7  # ball radii; distance from the middle at which a surfel's vote for its piece falls to 1/e
-# Distances in pixels of the small photographs, on the object.
-FLAT = 3.0  # tolerance of the support plane's inliers, and margin of a given box
-STANDING = 6.0  # least height of the object's first surfels above the plane
-RAISED = 3.0  # least height of the object's later surfels above the plane
-BELOW = 3.0  # depth below the plane beyond which a surfel is a reflection, not background
-AROUND = 1.5  # distance from the hull within which a surfel may be the object's
-COPIES = 8  # copies of a surfel between its place and the plane, which fill the first masks
-LINKED = 2.5  # times the median distance to a third neighbour; surfels closer than this are connected
-BLOCKED = 2  # pixels around a mask that do not count as background
-SURE = 0.5  # least share of an object surfel's pixels with known background that certainly hide it
-TOLD = 0.03  # least share of an object surfel's pixels whose background is known
-LEAST_SPLATS = 50  # an object has at least so many surfels
-RIVAL = 0.4  # relative size of a second piece above which the object is ambiguous
-LEAST_AGREEMENT = 0.75  # least mean intersection over union of the masks and the hull's silhouettes
-BESIDE = 3.0  # pixels outside the hull's silhouette beyond which final masks are 0
-FILLED = 2.0  # pixels inside the hull's silhouette beyond which final masks are 1
-FULL = 0.7  # median share of the image above which masks do not show a single object
-CUT = 0.1  # pixels on the image's border, over the square root of the mask's area, above which it is cut off
 
 
 @dataclass(frozen=True)
@@ -95,6 +71,7 @@ def find_object(
     box: np.ndarray | None = None,
     should_stop: Callable[[], bool] = lambda: False,
     progress: Callable[[float], None] = lambda done: None,
+    options: SegmentationConfig = SegmentationConfig(),
 ) -> FoundObject | NoObject:
     """Find the object in a scene without masks; the same seed gives the same masks.
 
@@ -104,23 +81,24 @@ def find_object(
 
     Raises Cancelled once should_stop returns True, and TrainingError if training fails.
     """
-    views = [small_view(view, SIDE) for view in scene.train]
-    model = _trained(replace(scene, train=views, test=[]), start, seed, should_stop, lambda done: progress(0.4 * done))
-    first = _first_labels(model, [view.camera for view in views], box, np.random.default_rng(seed))
+    views, own = [small_view(view, options.search.side) for view in scene.train], options.search
+    small = replace(scene, train=views, test=[])
+    model = _trained(small, start, seed, own.iterations, should_stop, lambda done: progress(0.4 * done))
+    first = _first_labels(model, [view.camera for view in views], box, np.random.default_rng(seed), options)
     if isinstance(first, NoObject):
         return first
-    search = _Search(model, first, views)
-    for number, dissent in enumerate(DISSENT):
-        search.refine(dissent)
+    search = _Search(model, first, views, options)
+    for number, dissent in enumerate(np.linspace(own.first_dissent, own.last_dissent, own.rounds)):
+        search.refine(float(dissent))
         if should_stop():
             raise Cancelled
-        if search.labels.sum() < LEAST_SPLATS:
+        if search.labels.sum() < own.min_surfels:
             return NoObject("what stands in the middle has no contour in the photographs")
-        progress(0.4 + 0.45 * (number + 1) / len(DISSENT))
+        progress(0.4 + 0.45 * (number + 1) / own.rounds)
     agreement = np.array(
         [_overlap(mask, inside > 0) for mask, inside in zip(search.masks, search.silhouettes or (), strict=True)]
     )
-    if (doubt := _doubt(search.masks, agreement)) is not None:
+    if (doubt := _doubt(search.masks, agreement, own)) is not None:
         return doubt
     masks = search.last_masks(scene.train, scene.test)
     progress(1.0)
@@ -150,15 +128,17 @@ class _Search:
     round.
     """
 
-    def __init__(self, model: SurfelModel, first: _FirstLabels, views: Sequence[View]) -> None:
-        self._model, self._first = model.detached(), first
+    def __init__(
+        self, model: SurfelModel, first: _FirstLabels, views: Sequence[View], options: SegmentationConfig
+    ) -> None:
+        self._model, self._first, self._options = model.detached(), first, options
         self._cameras = [view.camera for view in views]
         self._images = [view.image for view in views]
         self._pixel = pixel_size(self._cameras, np.zeros(3))
         self._hull: Hull | None = None
         self.labels = first.standing
         self.silhouettes: list[np.ndarray] | None = None
-        columns = _columns(some_surfels(self._model, first.standing), first.plane)
+        columns = _columns(some_surfels(self._model, first.standing), first.plane, options.search.copies)
         self.masks = [ndimage.binary_fill_holes(_covered(columns, camera)) for camera in self._cameras]
 
     def refine(self, dissent: float) -> None:
@@ -167,34 +147,36 @@ class _Search:
         dissent: the share of the masks that may exclude a place of the hull.
         """
         sources, surfels = self._sources(), some_surfels(self._model, self.labels)
+        own, mattes = self._options.search, self._options.mattes
 
         def made(index: int) -> Matte:
             image, camera, mask = self._images[index], self._cameras[index], self.masks[index]
             if self.silhouettes is None:
-                return matte(image, camera, first_region(mask), surfels, sources)
+                return matte(image, camera, first_region(mask, mattes), surfels, sources, options=mattes)
             inside = self.silhouettes[index]
-            return matte(image, camera, hull_region(mask, inside), surfels, sources, inside)
+            return matte(image, camera, hull_region(mask, inside, mattes), surfels, sources, inside, mattes)
 
         found = list(map_ahead(made, range(len(self._images)), None))
         self.masks = [each.share > 0.5 for each in found]
-        first = self._first
-        self._hull = tolerant_hull([each.share for each in found], self._cameras, first.box, first.plane, dissent)
+        first, shares = self._first, [each.share for each in found]
+        self._hull = tolerant_hull(shares, self._cameras, first.box, first.plane, dissent, self._options.hull)
         if not (self._hull.field > 0).any():
             self.labels = np.zeros_like(self.labels)
             return
         caster = Mesh(*hull_surface(self._hull)).caster
         self.silhouettes = [silhouette(caster, camera) for camera in self._cameras]
-        inside = self._hull.values(self._model.means.numpy().astype(np.float64)) > -AROUND * self._pixel
-        self.labels = inside & (first.heights > RAISED * self._pixel) & self._sure(found)
+        inside = self._hull.values(self._model.means.numpy().astype(np.float64)) > -own.around * self._pixel
+        self.labels = inside & (first.heights > own.raised * self._pixel) & self._sure(found)
 
     def last_masks(self, train: Sequence[View], test: Sequence[View]) -> list[np.ndarray]:
         """Return the final masks [H,W] uint8, 0..255, of the training and then the test views.
 
-        They are computed in photographs of FINE_SIDE pixels and resized to the views.
+        They are computed in photographs of `fine_side` pixels and resized to the views.
         """
         import cv2  # late: training needs no OpenCV
 
-        fine = [small_view(view, FINE_SIDE) for view in [*train, *test]]
+        own, mattes = self._options.search, self._options.mattes
+        fine = [small_view(view, own.fine_side) for view in [*train, *test]]
         sources, surfels = self._sources(fine[: len(train)]), some_surfels(self._model, self.labels)
         hull = self._hull
         assert hull is not None
@@ -203,9 +185,11 @@ class _Search:
         def made(pair: tuple[View, View]) -> np.ndarray:
             view, camera = pair[0], pair[1].camera
             longest = max(camera.width, camera.height)
-            inside = silhouette(caster, camera) / max(1.0, longest / SIDE)  # in pixels of the small photographs
-            found = matte(pair[1].image, camera, hull_region(inside > 0, inside), surfels, sources, inside)
-            share = np.where(inside > FILLED, 1, np.where(inside > -BESIDE, found.share, 0)).astype(np.float32)
+            inside = silhouette(caster, camera) / max(1.0, longest / own.side)  # in pixels of the small photographs
+            region = hull_region(inside > 0, inside, mattes)
+            found = matte(pair[1].image, camera, region, surfels, sources, inside, mattes)
+            outer = np.where(inside > -own.beside, found.share, 0)
+            share = np.where(inside > own.filled, 1, outer).astype(np.float32)
             size = view.camera.width, view.camera.height
             return np.asarray((255 * cv2.resize(share, size, interpolation=cv2.INTER_LINEAR)).round().astype(np.uint8))
 
@@ -224,35 +208,37 @@ class _Search:
         """
         import cv2  # late: training needs no OpenCV
 
-        around = np.ones((2 * BLOCKED + 1,) * 2, np.uint8)
+        own, background = self._options.search, self._options.background
+        around = np.ones((2 * own.blocked + 1,) * 2, np.uint8)
         wide = self.masks
         if self.silhouettes is not None:
             wide = [mask | (inside > -1) for mask, inside in zip(self.masks, self.silhouettes, strict=True)]
         blocked = [ndimage.binary_fill_holes(cv2.dilate(mask.astype(np.uint8), around) > 0) for mask in wide]
         lifted, _ = lifted_labels(self._model, [mask[..., None] for mask in blocked], self._cameras)
-        behind = ~self.labels & (lifted[:, 0] < 0.5) & (self._first.heights > -BELOW * self._pixel)
+        behind = ~self.labels & (lifted[:, 0] < 0.5) & (self._first.heights > -own.reflected * self._pixel)
         surfels = some_surfels(self._model, behind)
         clear = [255 * (~mask).astype(np.uint8) for mask in blocked]
         if larger is None:
-            return BackgroundSources(self._cameras, self._images, clear, surfels, self._first.plane)
+            return BackgroundSources(self._cameras, self._images, clear, surfels, self._first.plane, background)
         cameras, images = [view.camera for view in larger], [view.image for view in larger]
         clear = [
             cv2.resize(mask, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)
             for mask, camera in zip(clear, cameras, strict=True)
         ]
-        return BackgroundSources(cameras, images, clear, surfels, self._first.plane)
+        return BackgroundSources(cameras, images, clear, surfels, self._first.plane, background)
 
     def _sure(self, found: Sequence[Matte]) -> np.ndarray:
         """Return the surfels [N] bool whose pixels mostly hide the background for certain.
 
         found: the mattes of the small photographs.
         """
+        own = self._options.search
         masks = [np.stack([each.sure, each.told], axis=-1) for each in found]
         sure, told = lifted_labels(self._model, masks, self._cameras)[0].T
-        return np.asarray((sure > SURE * told) & (told > TOLD))
+        return np.asarray((sure > own.sure * told) & (told > own.known))
 
 
-def _columns(surfels: SurfelModel, plane: SupportPlane | None) -> SurfelModel:
+def _columns(surfels: SurfelModel, plane: SupportPlane | None, copies: int) -> SurfelModel:
     """Return the surfels, and copies of them that are lowered in steps down to the plane.
 
     The copies cover the object's sides. The surfels of a shiny side may be missing, because they lie where its
@@ -261,7 +247,7 @@ def _columns(surfels: SurfelModel, plane: SupportPlane | None) -> SurfelModel:
     if plane is None:
         return surfels
     down = torch.from_numpy((plane.heights(surfels.means.numpy())[:, None] * plane.normal).astype(np.float32))
-    lowered = [replace(surfels, means=surfels.means - share * down) for share in np.linspace(0, 1, COPIES)]
+    lowered = [replace(surfels, means=surfels.means - share * down) for share in np.linspace(0, 1, copies)]
     return SurfelModel(
         **{name: torch.cat([part.parameters()[name] for part in lowered]) for name in surfels.parameters()}
     )
@@ -274,37 +260,42 @@ def _covered(surfels: SurfelModel, camera: Camera) -> np.ndarray:
 
 
 def _first_labels(
-    model: SurfelModel, cameras: Sequence[Camera], box: np.ndarray | None, generator: np.random.Generator
+    model: SurfelModel,
+    cameras: Sequence[Camera],
+    box: np.ndarray | None,
+    generator: np.random.Generator,
+    options: SegmentationConfig,
 ) -> _FirstLabels | NoObject:
     """Label the largest connected piece of surfels that stands on the support plane; those near the middle weigh more.
 
     box [2,3]: the box in the scene's frame that holds the object; None: the object stands near the scene's centre.
     """
-    pixel = pixel_size(cameras, np.zeros(3))
+    own, pixel = options.search, pixel_size(cameras, np.zeros(3))
     centers = np.asarray(model.means.detach().numpy(), np.float64)
-    solid = model.opacities().detach().numpy() > SOLID
-    around = np.linalg.norm(centers, axis=1) < NEAR
-    plane = find_support_plane(centers[solid & around], cameras, FLAT * pixel, generator)
+    solid = model.opacities().detach().numpy() > own.solid
+    around = np.linalg.norm(centers, axis=1) < own.near
+    plane = find_support_plane(centers[solid & around], cameras, own.flat * pixel, generator, options.plane)
     inside = around
     if box is not None:
-        inside = ((centers > box[0] - FLAT * pixel) & (centers < box[1] + FLAT * pixel)).all(axis=1)
+        margin = own.flat * pixel
+        inside = ((centers > box[0] - margin) & (centers < box[1] + margin)).all(axis=1)
     elif plane is None:
         return NoObject("no level surface lies under what the cameras look at")
     heights = np.full(len(centers), np.inf) if plane is None else plane.heights(centers)
-    found = np.flatnonzero(solid & inside & (heights > STANDING * pixel))
-    if len(found) < LEAST_SPLATS:
+    found = np.flatnonzero(solid & inside & (heights > own.standing * pixel))
+    if len(found) < own.min_surfels:
         return NoObject("nothing stands in the middle of what the cameras look at")
-    reach = LINKED * float(np.median(cKDTree(centers[found]).query(centers[found], k=4)[0][:, 3]))
+    reach = own.linked * float(np.median(cKDTree(centers[found]).query(centers[found], k=4)[0][:, 3]))
     piece = pieces(centers[found], reach)
     middle = np.zeros(3) if box is None else box.mean(axis=0)
     # The cameras look at the object, so surfels near the middle weigh more.
-    sizes = np.bincount(piece, np.exp(-(((centers[found] - middle) / MIDDLE) ** 2).sum(axis=1)))
+    sizes = np.bincount(piece, np.exp(-(((centers[found] - middle) / own.middle) ** 2).sum(axis=1)))
     largest = int(np.argmax(sizes))
-    if box is None and (np.delete(sizes, largest) > RIVAL * sizes[largest]).any():
+    if box is None and (np.delete(sizes, largest) > own.rival * sizes[largest]).any():
         return NoObject("several objects of about one size stand in the middle")
     standing = np.zeros(len(centers), bool)
     standing[found[piece == largest]] = True
-    if standing.sum() < LEAST_SPLATS:
+    if standing.sum() < own.min_surfels:
         return NoObject("nothing stands in the middle of what the cameras look at")
     around_it = _box_with_feet(centers[standing], plane) if box is None else box
     return _FirstLabels(standing, around_it, heights, plane)
@@ -326,11 +317,12 @@ def _trained(
     scene: Scene,
     start: StartingPoints,
     seed: int,
+    iterations: int,
     should_stop: Callable[[], bool],
     progress: Callable[[float], None],
 ) -> SurfelModel:
     """Train the 2D branch alone on the whole scene."""
-    stages = [f"warmup.surfel_iterations={ITERATIONS}", "mutual.iterations=0", "stop_rule=none"]
+    stages = [f"warmup.surfel_iterations={iterations}", "mutual.iterations=0", "stop_rule=none"]
     config = make_config(seed=seed, overrides=["branches=surfels", *stages])
     training = Training(scene, start, config, lambda report: progress(report.done), should_stop)
     found = training.run().model.surfels
@@ -344,24 +336,27 @@ def _overlap(one: np.ndarray, other: np.ndarray) -> float:
     return float((one & other).sum() / union) if union else 1.0
 
 
-def _doubt(masks: Sequence[np.ndarray], agreement: np.ndarray) -> NoObject | None:
+def _doubt(masks: Sequence[np.ndarray], agreement: np.ndarray, options: ObjectSearchOptions) -> NoObject | None:
     """Return why the masks [H,W] bool do not show a single object; None if they do.
 
     agreement [V]: the intersection over union of each mask and the hull's silhouette.
     """
-    if np.mean([mask.any() for mask in masks]) < 0.8:
+    if np.mean([mask.any() for mask in masks]) < options.min_shown:
         return NoObject("many photographs do not show the object")
-    if np.median([mask.mean() for mask in masks]) > FULL:
+    if np.median([mask.mean() for mask in masks]) > options.full:
         return NoObject("the object fills the photographs")
-    if np.mean([_cut_off(mask) for mask in masks]) > 0.5:
+    if np.mean([_cut_off(mask, options.cut) for mask in masks]) > options.max_cut:
         return NoObject("most photographs cut the object off")
-    if agreement.mean() < LEAST_AGREEMENT:
+    if agreement.mean() < options.min_agreement:
         return NoObject("the object's contours in the photographs do not agree")
     return None
 
 
-def _cut_off(mask: np.ndarray) -> bool:
-    """Return whether the image's border cuts through a mask [H,W] bool."""
+def _cut_off(mask: np.ndarray, least: float) -> bool:
+    """Return whether the image's border cuts through a mask [H,W] bool.
+
+    least: the pixels on the border, over the square root of the mask's area, above which it does.
+    """
     border = sum(int(line.sum()) for line in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
-    cut: bool = border > CUT * float(mask.sum()) ** 0.5
+    cut: bool = border > least * float(mask.sum()) ** 0.5
     return cut

@@ -6,15 +6,18 @@ import numpy as np
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import cg
 
-SMOOTHNESS = 6.0  # weight of an edge between pixels of equal colour, relative to the costs
-CONTRAST = 0.05  # sRGB 0..1; a colour difference of this size reduces an edge's weight to 0.6 of that
-TOLERANCE, ITERATIONS = 1e-3, 300  # of the conjugate gradient solver
+from mgsr.config.expert import RandomWalkerOptions
+
 # Offsets to a neighbour by row and column, and its distance.
 STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2**0.5), (1, -1, 2**0.5))
 
 
 def random_walker(
-    image: np.ndarray, as_background: np.ndarray, as_object: np.ndarray, region: np.ndarray
+    image: np.ndarray,
+    as_background: np.ndarray,
+    as_object: np.ndarray,
+    region: np.ndarray,
+    options: RandomWalkerOptions = RandomWalkerOptions(),
 ) -> np.ndarray:
     """Return the object's share of each pixel, [h,w] 0..1, from label costs and the image's edges.
 
@@ -29,7 +32,7 @@ def random_walker(
         return share
     numbers = np.full(region.shape, count)
     numbers[region] = np.arange(count)
-    first, second, weight = (np.concatenate(each) for each in zip(*_edges(image, numbers, count), strict=True))
+    first, second, weight = (np.concatenate(each) for each in zip(*_edges(image, numbers, count, options), strict=True))
     pairs = np.concatenate([first, second]), np.concatenate([second, first])
     degree = np.bincount(pairs[0], np.concatenate([weight, weight]), count + 1)[:count]
     inner = (first < count) & (second < count)
@@ -38,12 +41,16 @@ def random_walker(
     asked, other = as_background[region].astype(np.float64), as_object[region].astype(np.float64)
     diagonal = asked + other + degree + 1e-6
     begin = asked / (asked + other + 1e-6)
-    found, _ = cg(links + diags(diagonal), asked, x0=begin, rtol=TOLERANCE, maxiter=ITERATIONS, M=diags(1 / diagonal))
+    preconditioner, tolerance = diags(1 / diagonal), options.tolerance
+    system = links + diags(diagonal)
+    found, _ = cg(system, asked, x0=begin, rtol=tolerance, maxiter=options.iterations, M=preconditioner)
     share[region] = found.clip(0, 1)
     return share
 
 
-def _edges(image: np.ndarray, numbers: np.ndarray, outside: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _edges(
+    image: np.ndarray, numbers: np.ndarray, outside: int, options: RandomWalkerOptions
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return the edges between neighbours, for each offset of STEPS: both pixels' numbers [E], and weights [E].
 
     image [h,w,3] sRGB 0..1. numbers [h,w]: each pixel's number in the region, which is below
@@ -55,7 +62,7 @@ def _edges(image: np.ndarray, numbers: np.ndarray, outside: int) -> list[tuple[n
         one = slice(0, height - down), slice(max(0, -right), width - max(0, right))
         other = slice(down, height), slice(max(0, right), width + min(0, right))
         linked = (numbers[one] < outside) | (numbers[other] < outside)
-        contrast = ((image[one][linked] - image[other][linked]) ** 2).sum(axis=-1) / (2 * CONTRAST**2)
-        weight = SMOOTHNESS * np.exp(-contrast.astype(np.float64)) / distance
+        contrast = ((image[one][linked] - image[other][linked]) ** 2).sum(axis=-1) / (2 * options.contrast**2)
+        weight = options.smoothness * np.exp(-contrast.astype(np.float64)) / distance
         found.append((numbers[one][linked], numbers[other][linked], weight))
     return found

@@ -61,4 +61,5 @@ def lifted_labels(
 
 
 def _labelled(model: SurfelModel, colors: Tensor) -> SurfelModel:
+    """Return the model with other harmonics [N,1,3], of degree 0, and without gradients elsewhere."""
     return replace(model.detached(), sh=colors)

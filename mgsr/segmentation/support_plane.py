@@ -7,14 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsr.config.expert import SupportPlaneOptions
 from mgsr.data.camera import Camera
-
-TRIALS = 3000
-STEEPEST = 35.0  # degrees; largest angle between the plane's normal and the cameras' mean upward direction
-REFITS = 5  # least-squares fits to the inliers
-LEAST_SHARE = 0.1  # least share of the points that are inliers
-ABOVE_IT = 0.8  # least share of the cameras above the plane
-BELOW_IT = 0.25  # largest share of the points below the plane
 
 
 @dataclass(frozen=True)
@@ -44,7 +38,11 @@ def upward(cameras: Sequence[Camera]) -> np.ndarray:
 
 
 def find_support_plane(
-    points: np.ndarray, cameras: Sequence[Camera], tolerance: float, generator: np.random.Generator
+    points: np.ndarray,
+    cameras: Sequence[Camera],
+    tolerance: float,
+    generator: np.random.Generator,
+    options: SupportPlaneOptions = SupportPlaneOptions(),
 ) -> SupportPlane | None:
     """Find the plane under an object, given points [P,3] of the object and its surroundings in the world frame.
 
@@ -54,34 +52,39 @@ def find_support_plane(
     """
     if len(points) < 3:
         return None
-    best = _most_supported(points, upward(cameras), tolerance, generator)
+    best = _most_supported(points, upward(cameras), tolerance, generator, options)
     if best is None:
         return None
-    for _ in range(REFITS):
+    for _ in range(options.refits):
         near = points[np.abs(best.heights(points)) < tolerance]
         if len(near) < 3:
             return None
         best = _fitted(near, best.normal)
     heights = best.heights(points)
-    supported = (np.abs(heights) < tolerance).mean() >= LEAST_SHARE and (heights < -2 * tolerance).mean() <= BELOW_IT
-    seen_from_above = np.mean([best.heights(camera.center[None])[0] > 0 for camera in cameras]) >= ABOVE_IT
-    return best if supported and seen_from_above else None
+    supported = (np.abs(heights) < tolerance).mean() >= options.min_inliers
+    lowest = (heights < -2 * tolerance).mean() <= options.max_below
+    seen_from_above = np.mean([best.heights(camera.center[None])[0] > 0 for camera in cameras]) >= options.min_above
+    return best if supported and lowest and seen_from_above else None
 
 
 def _most_supported(
-    points: np.ndarray, up: np.ndarray, tolerance: float, generator: np.random.Generator
+    points: np.ndarray,
+    up: np.ndarray,
+    tolerance: float,
+    generator: np.random.Generator,
+    options: SupportPlaneOptions,
 ) -> SupportPlane | None:
-    """Return the best of TRIALS planes, each through three of the points [P,3]; None if none of them is level.
+    """Return the best of many planes, each through three of the points [P,3]; None if none of them is level.
 
     up [3]: the upward direction, unit. A plane's score is a truncated quadratic of the points' heights (MSAC);
     tolerance: where it is cut off, in the points' unit.
     """
-    corners = points[generator.integers(0, len(points), (TRIALS, 3))]
+    corners = points[generator.integers(0, len(points), (options.trials, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
     normals = normals / np.maximum(lengths, 1e-12)[:, None]
     normals *= np.where(normals @ up < 0, -1.0, 1.0)[:, None]
-    level = np.flatnonzero((lengths > 1e-9) & (normals @ up > np.cos(np.radians(STEEPEST))))
+    level = np.flatnonzero((lengths > 1e-9) & (normals @ up > np.cos(np.radians(options.max_tilt))))
     best, most = None, 0.0
     for index in level:
         plane = SupportPlane(normals[index], float(-normals[index] @ corners[index, 0]))

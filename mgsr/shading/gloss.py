@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 from scipy.optimize import minimize
 
+from mgsr.config.expert import GlossOptions
 from mgsr.data.images import srgb_to_linear
 from mgsr.data.photograph import Photograph
 from mgsr.data.scene import View, some_of
@@ -24,21 +24,7 @@ from mgsr.shading.environment_fit import sample_map, steps_squared
 from mgsr.shading.material import MATTE, Material
 from mgsr.shading.observations import observe_photographs, read_image
 
-POINTS = 2000  # most points in the fit
-LEAST_SEEN = 4  # photographs that a point needs
-HEIGHT = 32  # of the environment map in cells of 5.6 degrees
-SMOOTHNESS = 0.002  # weight of the squared differences of neighbouring cells, relative to the observations of a cell
-HELD_OUT = 4  # every so many photographs judge the fit
 ROUGHNESSES = (0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.8)
-LIKELY = 1.01  # of the least deviation; the mean of the roughnesses that come so near is taken
-AS_GOOD = 1.04  # of the least deviation; roughnesses that come so near are possible too
-WORSE = 1.1  # of the least deviation; above it no larger roughness is tried
-DIELECTRIC = 0.04  # reflectance of dielectrics at normal incidence
-METAL = 0.8  # reflectance of a metal in its brightest channel; the light's brightness is not known apart from it
-METAL_DEVIATION = 1.15  # of a dielectric's; a metal, without a matte part, may be so much worse
-MATTE_DEVIATION = 0.95  # of a surface without gloss; gloss must explain the photographs so much better
-OUTLIER = 0.1  # linear light
-STEPS, MORE_STEPS = 40, 20  # of the optimiser from nothing, and from the map of another roughness
 
 
 @dataclass(frozen=True)
@@ -56,22 +42,23 @@ class Mirrorings:
     weights: np.ndarray
     training: np.ndarray
 
-    @cached_property
-    def rows(self) -> sparse.csr_matrix:
-        """Return the matrix [Q,2*HEIGHT^2] that samples a map where the points mirror to."""
-        return sample_map(self.directions, HEIGHT).astype(np.float32)
 
-
-def mirrorings(mesh: Mesh, views: Sequence[View], gap: float, threads: int | None = None) -> Mirrorings:
+def mirrorings(
+    mesh: Mesh,
+    views: Sequence[View],
+    gap: float,
+    threads: int | None = None,
+    options: GlossOptions = GlossOptions(),
+) -> Mirrorings:
     """Collect what photographs show of a mesh's vertices, without those whose mirrored ray meets the mesh again.
 
     gap: the largest depth of a vertex behind the mesh, in the scene's unit.
     """
     photographs = [Photograph(view) for view in some_of(views)]
     observed = observe_photographs(mesh, photographs, gap, threads)
-    points = np.flatnonzero(observed.counts >= LEAST_SEEN)
-    if len(points) > POINTS:
-        points = np.sort(np.random.default_rng(0).choice(points, POINTS, replace=False))
+    points = np.flatnonzero(observed.counts >= options.min_observations)
+    if len(points) > options.points:
+        points = np.sort(np.random.default_rng(0).choice(points, options.points, replace=False))
     observed = observed.at(points)
     owners, seen = np.nonzero(observed.weights > 0)
     normals, eye = mesh.double_normals[points][owners], observed.view_directions[owners, seen].astype(np.float64)
@@ -87,46 +74,52 @@ def mirrorings(mesh: Mesh, views: Sequence[View], gap: float, threads: int | Non
         linear = srgb_to_linear(view.image.astype(np.float32) / 255)
         colors[own] = np.stack([read_image(linear[..., channel], pixels) for channel in range(3)], axis=1)
     weights = observed.weights[owners, seen]
-    held = numbers % HELD_OUT == HELD_OUT - 1
+    held = numbers % options.held_out == options.held_out - 1
     return Mirrorings(*(each[free] for each in (owners, directions, cosines, colors, weights, ~held)))
 
 
-def fit_gloss(seen: Mirrorings) -> Material:
+def fit_gloss(seen: Mirrorings, options: GlossOptions = GlossOptions()) -> Material:
     """Fit the material of a glossy surface to its observations; MATTE where gloss does not explain them better."""
     gray = seen.colors.mean(axis=1)
     if not (gray[seen.training].any() and gray[~seen.training].any()):
         return MATTE
-    dark = np.zeros(2 * HEIGHT**2)
-    coat, metal = _Fit(seen, metallic=False), _Fit(seen, metallic=True)
-    lights = [fit.solve(gray, ROUGHNESSES[0], dark, STEPS) for fit in (coat, metal)]
+    height, rows = options.height, sample_map(seen.directions, options.height).astype(np.float32)
+    dark = np.zeros(2 * height**2)
+    coat, metal = (_Fit(seen, rows, metallic, options) for metallic in (False, True))
+    lights = [fit.solve(gray, ROUGHNESSES[0], dark, options.first_steps) for fit in (coat, metal)]
     errors = [fit.deviation(gray, ROUGHNESSES[0], light) for fit, light in zip((coat, metal), lights, strict=True)]
-    if min(errors) > MATTE_DEVIATION * coat.deviation(gray, ROUGHNESSES[0], dark):
+    if min(errors) > options.matte_deviation * coat.deviation(gray, ROUGHNESSES[0], dark):
         return MATTE
-    metallic = errors[1] < METAL_DEVIATION * errors[0]
+    metallic = errors[1] < options.metal_deviation * errors[0]
     fit = metal if metallic else coat
-    found = _try_roughnesses(fit, gray, lights[metallic])
+    found = _try_roughnesses(fit, gray, lights[metallic], options)
     best = min(deviation for _, deviation, _ in found)
-    likely, as_good = ([each for each in found if each[1] <= limit * best] for limit in (LIKELY, AS_GOOD))
+    likely, possible = (
+        [each for each in found if each[1] <= limit * best] for limit in (options.likely, options.possible)
+    )
     roughness, light = float(np.mean([each[0] for each in likely])), likely[-1][2]
-    colored = np.stack([fit.solve(seen.colors[:, each], roughness, light, MORE_STEPS) for each in range(3)], axis=1)
-    tint, reflectance = None, np.full(3, DIELECTRIC)
+    channels = [fit.solve(seen.colors[:, each], roughness, light, options.steps) for each in range(3)]
+    colored = np.stack(channels, axis=1)
+    tint, reflectance = None, np.full(3, options.dielectric)
     if metallic:
         mean = fit.spread(colored, roughness).mean(axis=0)
-        tint = reflectance = METAL * mean / mean.max()
-    light = (colored / reflectance).reshape(HEIGHT, 2 * HEIGHT, 3).astype(np.float32)
-    return Material(roughness, (as_good[0][0], as_good[-1][0]), float(metallic), tint, light)
+        tint = reflectance = options.metal * mean / mean.max()
+    light = (colored / reflectance).reshape(height, 2 * height, 3).astype(np.float32)
+    return Material(roughness, (possible[0][0], possible[-1][0]), float(metallic), tint, light)
 
 
-def _try_roughnesses(fit: _Fit, values: np.ndarray, light: np.ndarray) -> list[tuple[float, float, np.ndarray]]:
-    """Return roughnesses in ascending order, each with the deviation of values [Q] and its light [2*HEIGHT^2].
+def _try_roughnesses(
+    fit: _Fit, values: np.ndarray, light: np.ndarray, options: GlossOptions
+) -> list[tuple[float, float, np.ndarray]]:
+    """Return roughnesses in ascending order, each with the deviation of values [Q] and its light [2*height^2].
 
-    light [2*HEIGHT^2]: the first guess. It ends where larger roughnesses explain the photographs worse.
+    light [2*height^2]: the first guess. The search ends once larger roughnesses explain the photographs worse.
     """
     found: list[tuple[float, float, np.ndarray]] = []
     for roughness in ROUGHNESSES:
-        light = fit.solve(values, roughness, light, MORE_STEPS)
+        light = fit.solve(values, roughness, light, options.steps)
         found.append((roughness, fit.deviation(values, roughness, light), light))
-        if found[-1][1] > WORSE * min(deviation for _, deviation, _ in found):
+        if found[-1][1] > options.worse * min(deviation for _, deviation, _ in found):
             break
     return found
 
@@ -134,21 +127,22 @@ def _try_roughnesses(fit: _Fit, values: np.ndarray, light: np.ndarray) -> list[t
 class _Fit:
     """The equations of one model: a dielectric over a matte part, or a metal without one."""
 
-    def __init__(self, seen: Mirrorings, metallic: bool) -> None:
-        self._seen, self._metallic = seen, metallic
-        self._rows, self._turned = seen.rows, seen.rows.T.tocsr()
-        self._smooth = steps_squared(HEIGHT)
+    def __init__(self, seen: Mirrorings, rows: sparse.csr_matrix, metallic: bool, options: GlossOptions) -> None:
+        """Prepare the fit; rows [Q,2*height^2] sample a map where the points mirror to."""
+        self._seen, self._metallic, self._options = seen, metallic, options
+        self._rows, self._turned = rows, rows.T.tocsr()
+        self._smooth = steps_squared(options.height)
         self._lobes: dict[float, np.ndarray] = {}
 
     def solve(self, values: np.ndarray, roughness: float, start: np.ndarray, steps: int) -> np.ndarray:
-        """Return the light [2*HEIGHT^2], nowhere negative, that best explains values [Q] of the training photographs.
+        """Return the light [2*height^2], nowhere negative, that best explains values [Q] of the training photographs.
 
-        It is multiplied by the reflectance at normal incidence. start [2*HEIGHT^2]: the first guess. steps: of the
+        It is multiplied by the reflectance at normal incidence. start [2*height^2]: the first guess. steps: of the
         optimiser, at most.
         """
         lobe, share = self._lobe(roughness), self._share(roughness)
         weights = self._seen.weights * self._seen.training
-        hold = SMOOTHNESS * weights.sum() / len(start)
+        hold = self._options.smoothness * weights.sum() / len(start)
         scale = float((weights * values * values).sum()) / len(start)
 
         def cost(light: np.ndarray) -> tuple[float, np.ndarray]:
@@ -158,15 +152,16 @@ class _Fit:
             value = 0.5 * float((weights * residual * residual).sum() + hold * (light @ pull))
             return value / scale, (slope + hold * pull) / scale
 
-        bounds, options = [(0, None)] * len(start), {"maxiter": steps, "ftol": 1e-5}
+        bounds = [(0, None)] * len(start)
+        options = {"maxiter": steps, "ftol": self._options.tolerance}
         fitted: np.ndarray = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
         return fitted
 
     def deviation(self, values: np.ndarray, roughness: float, light: np.ndarray) -> float:
         """Return the root mean square of what a light leaves of values [Q] in the held-out photographs.
 
-        The matte part of each point is that of the training photographs. Residuals above OUTLIER count no more than it,
-        as for what the model does not know, such as second reflections.
+        The matte part of each point is that of the training photographs. Residuals above `outlier` count no more than
+        it, as for what the model does not know, such as second reflections.
         """
         seen = self._seen
         residual = values - self._share(roughness) * (self._rows @ (self._lobe(roughness) @ light.astype(np.float32)))
@@ -176,11 +171,11 @@ class _Fit:
             sums, total = (np.bincount(seen.owners, each) for each in (training * residual, training))
             residual = residual - (sums / np.maximum(total, 1e-9))[seen.owners]
             judged = judged * (total[seen.owners] > 0)
-        clipped = np.minimum(residual**2, OUTLIER**2)
+        clipped = np.minimum(residual**2, self._options.outlier**2)
         return float(np.sqrt((judged * clipped).sum() / max(judged.sum(), 1e-9)))
 
     def spread(self, lights: np.ndarray, roughness: float) -> np.ndarray:
-        """Return the light [Q,3] of a map [2*HEIGHT^2,3] that the points mirror."""
+        """Return the light [Q,3] of a map [2*height^2,3] that the points mirror."""
         return np.asarray(self._rows @ (self._lobe(roughness) @ lights.astype(np.float32)))
 
     def _centred(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -195,12 +190,12 @@ class _Fit:
         """Return the mirrored share [Q] of each observation, relative to the reflectance at normal incidence."""
         if self._metallic:
             return mirrored_share(self._seen.cosines, roughness, 1.0)
-        return mirrored_share(self._seen.cosines, roughness, DIELECTRIC) / DIELECTRIC
+        return mirrored_share(self._seen.cosines, roughness, self._options.dielectric) / self._options.dielectric
 
     def _lobe(self, roughness: float) -> np.ndarray:
         """Return `ggx_lobes`, of which the last is kept."""
         if roughness not in self._lobes:
-            self._lobes = {roughness: ggx_lobes(roughness)}
+            self._lobes = {roughness: ggx_lobes(roughness, self._options.height)}
         return self._lobes[roughness]
 
 
@@ -217,7 +212,7 @@ def mirrored_share(cosines: np.ndarray, roughness: float, reflectance: float) ->
     return np.asarray(reflectance * (-1.04 * grazing + z) + 1.04 * grazing + w)
 
 
-def ggx_lobes(roughness: float, height: int = HEIGHT) -> np.ndarray:
+def ggx_lobes(roughness: float, height: int = GlossOptions().height) -> np.ndarray:
     """Return the matrix [N,N] float32, N = 2*height^2, that blurs a map by the lobe of a rough mirror seen head-on.
 
     Rows sum to 1. The lobe is GGX with width roughness^2, times the cosine (Karis, 2013).

@@ -155,6 +155,7 @@ def _surface_points(
 def _seen_on_hull(
     views: Sequence[View], positions: np.ndarray, normals: np.ndarray, resolution: int, options: ViewColorOptions
 ) -> StartingPoints:
+    """Return starting points at positions [P,3] with normals [P,3] on the hull, with the colours that views show."""
     # The hull is only accurate to a voxel, so points within a few voxels do not occlude each other.
     colors = seen_colors(views, positions, normals, 4 * 1.05 / resolution, options)
     return StartingPoints(positions, colors, StartSource.HULL, normals)

@@ -280,6 +280,7 @@ def _degree(iteration: int, planned: int, highest: int, config: TrainConfig, war
 def _see_surfels(
     branch: SurfelBranch, view: TrainingView, behind: Tensor, degree: int, config: TrainConfig
 ) -> SurfelOutputs:
+    """Render the surfels of a training view on a background [H,W,3] or [3], with the stage's options."""
     distortion = config.paper.distortion_weight > 0
     return render_surfels(branch.model, view.camera, behind, degree, distortion, view.shading())
 

@@ -138,7 +138,7 @@ class Trainer:
         self._apply_schedule(stage)
         while stage.iteration < stage.iterations:
             stage.seconds = self.seconds - started_at
-            self._heed_caller(stage)
+            self._check_caller(stage)
             if self.deadline is not None and self.seconds > self.deadline:
                 return "deadline"
             if stage.selection is not None and stage.selection.due(stage):
@@ -178,7 +178,7 @@ class Trainer:
 
         selection.run(stage, train)
 
-    def _heed_caller(self, stage: Stage) -> None:
+    def _check_caller(self, stage: Stage) -> None:
         if self.should_stop is not None and self.should_stop():
             self.save()
             raise self._cancelled(f"stopped on request in {stage.name} after {stage.iteration} iterations")

@@ -56,7 +56,7 @@ def fetch_job(server: str, key: str | None, job: str, out: Path) -> int:
 
 
 def _talk(server: str, key: str | None, talk: Callable[[Client, Console], int]) -> int:
-    """Talk with a service and return the exit code. Raises SetupError, in words for the person, where it fails."""
+    """Talk with a service and return the exit code. Raises SetupError with a message for the user if it fails."""
     console = Console(highlight=False)
     try:
         with Client(server, key) as client:

@@ -13,7 +13,7 @@ _EXTRAS = "fastapi uvicorn redis rq obstore pydantic_settings python_multipart p
 
 
 class SetupError(Exception):
-    """A setting or the machine lacks something; the text is for the person who starts the program, with the cure."""
+    """A setting or the machine lacks something; the text is for the user who starts the program, with the cure."""
 
 
 class StoreError(Exception):

@@ -46,7 +46,7 @@ class JobRecord(Document):
 
 
 class Failure(Document):
-    """Why a job failed. code: stable, for programs; message: for the person, with the cure."""
+    """Why a job failed. code: stable, for programs; message: for the user, with the cure."""
 
     code: str = Field(examples=["bad_scene"])
     message: str

@@ -14,7 +14,7 @@ _TRANSLATED = ipaddress.IPv6Network("64:ff9b::/96")
 
 
 def webhook_secret(store: Store, owner: str) -> str:
-    """Return the owner's secret (Standard Webhooks: `whsec_` and base64), created when it is first asked for."""
+    """Return the owner's secret (Standard Webhooks: `whsec_` and base64), which the first request creates."""
     path = f"webhook-secrets/{owner}"
     if (found := store.read(path)) is None:
         made = "whsec_" + base64.b64encode(secrets.token_bytes(32)).decode()

@@ -29,7 +29,7 @@ class Matrix:
 
     def __init__(self, folder: Path) -> None:
         self.truth, self.bare, self.empty, self.out = (folder / name for name in ("truth", "bare", "empty", "out"))
-        write_spheres(self.truth)
+        write_spheres(self.truth, size=48, train=10)
         shutil.copytree(self.truth, self.bare, ignore=shutil.ignore_patterns("mesh_gt.ply"))
         self.empty.mkdir()
         self.first = self.run(self.empty, self.truth, self.bare)

@@ -38,10 +38,12 @@ def test_a_capture_is_checked(capture: Path) -> None:
     found = json.loads(CliRunner().invoke(app, ["check", str(capture), "--json"]).stdout)
     assert len(found["photographs"]) == 12 and {"name", "center", "residual"} <= set(found["photographs"][0])
     assert "test/r_0" in {photo["name"] for photo in found["photographs"]}
+    strict = CliRunner().invoke(app, ["check", str(capture), "--set", "photos.wide=1"])
+    assert "degrees wide" in strict.stdout and "degrees wide" not in ran.stdout
 
 
 def test_errors_have_an_exit_code(capture: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mgsr.inspection.inspect.inspect_scene", lambda scene: wrong("r_1"))
+    monkeypatch.setattr("mgsr.inspection.inspect.inspect_scene", lambda scene, options: wrong("r_1"))
     ran = CliRunner().invoke(app, ["check", str(capture)])
     assert ran.exit_code == 1 and "error: wrong (r_1); find them anew" in ran.stdout
 
@@ -50,7 +52,8 @@ def test_errors_have_an_exit_code(capture: Path, monkeypatch: pytest.MonkeyPatch
 def test_contradictory_photographs_are_left_out_where_that_is_asked_for(
     capture: Path, monkeypatch: pytest.MonkeyPatch, flawed: str, left: int
 ) -> None:
-    monkeypatch.setattr(scene_check, "inspect_scene", lambda scene, progress: wrong("r_1", "r_4", "test/r_1"))
+    found = wrong("r_1", "r_4", "test/r_1")
+    monkeypatch.setattr(scene_check, "inspect_scene", lambda scene, progress, options: found)
     told: list[Event] = []
     config = make_config(overrides=[f"flawed={flawed}"])
     checked = check_scene(load_scene(capture), config, Steps(StepClock(), told.append, lambda: False))

@@ -18,13 +18,15 @@ from tests.cli.spheres import write_spheres
 from tests.cli.test_run import SHORT
 from tests.data.test_exposure import to_linear, to_srgb
 
+pytestmark = pytest.mark.usefixtures("grainy_pictures")
+
 STAGES = ("surfel_iterations", "gaussian_iterations", "mutual.iterations")
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Provide a capture of spheres in which photographs have as little as 40 % of the light."""
-    folder = write_spheres(tmp_path_factory.mktemp("capture") / "spheres", train=28, test=4)
+    folder = write_spheres(tmp_path_factory.mktemp("capture") / "spheres", size=48, train=24, test=4)
     (folder / "mesh_gt.ply").unlink()
     draw = np.random.default_rng(2)
     for path in sorted(folder.glob("*/*.png")):
@@ -36,7 +38,9 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(scene: Path, out: Path, *more: str) -> dict[str, Any]:
-    result = CliRunner().invoke(worker_app, ["run", str(scene), "-o", str(out), *SHORT, *more])
+    result = CliRunner().invoke(
+        worker_app, ["run", str(scene), "-o", str(out), *SHORT, "--set", "exposure=auto", *more]
+    )
     assert result.exit_code == 0, result.output
     report: dict[str, Any] = json.loads((out / "report.json").read_text())
     return report

@@ -18,13 +18,15 @@ from mgsr.pipeline.scene_folder import write_scene_folder
 from tests.cli.test_run import SHORT
 from tests.shading.test_shape_from_shading import flash, photographs, rippled
 
+pytestmark = pytest.mark.usefixtures("grainy_pictures")
+
 ASIDE = (0.2, -0.3)
 SCALE, OFFSET = 2.0, np.array([0.5, -1.0, 3.0])  # of the capture's frame
 
 
 @pytest.fixture(scope="module")
 def views() -> list[View]:
-    return photographs(rippled(), flash, ASIDE, side=100)
+    return photographs(rippled(), flash, ASIDE, side=80)
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,10 @@ from program.worker import app as worker_app
 from tests.cli.spheres import SPHERES, write_spheres
 from tests.cli.test_run import SHORT
 
+pytestmark = pytest.mark.usefixtures("grainy_pictures")
+
+FEWER = ["--set", "rough_iterations=400", "--set", "outlines.iterations=500"]  # enough for spheres
+
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -25,7 +29,8 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(scene: Path, out: Path, *more: str) -> tuple[dict[str, Any], trimesh.Trimesh]:
-    result = CliRunner().invoke(worker_app, ["run", str(scene), "-o", str(out), *SHORT, "--set", "masks=off", *more])
+    words = ["run", str(scene), "-o", str(out), *SHORT, *FEWER, "--set", "masks=off", *more]
+    result = CliRunner().invoke(worker_app, words)
     assert result.exit_code == 0, result.output
     return json.loads((out / "report.json").read_text()), trimesh.load_mesh(out / "mesh.ply")
 

@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from typer.testing import CliRunner
 
 from mgsr.cli.main import app
-from mgsr.config import DataConfig, ExpertConfig, GaussianConfig, OutputConfig
+from mgsr.config import DataConfig, GaussianConfig, OutputConfig, make_config
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.export.splats import load_splats
@@ -34,10 +34,12 @@ from tests.cli.spheres import SPHERES, write_spheres
 from tests.data.reading import draw
 from tests.optional import present
 
+pytestmark = pytest.mark.usefixtures("grainy_pictures")
+
 SHORT = [
     *("--preset", "draft", "--set", "surfel_iterations=80", "--set", "gaussian_iterations=80"),
     *("--set", "mutual.iterations=60", "--set", "surfels.max_start=1500", "--set", "gaussians.max_start=1500"),
-    *("--set", "poisson_depth=6"),
+    *("--set", "poisson_depth=6", "--set", "exposure=keep", "--set", "gloss.height=8"),
 ]
 SUFFIXES = ["", "_transmitted", "_reflected", "_weight", "_depth", "_normal"]
 
@@ -107,7 +109,7 @@ def test_the_report_has_its_fields(done: Path) -> None:
     assert (report["device"], report["seed"]) == ("cpu", 0)
     assert report["iterations"]["mutual"] == {"iterations": 60, "stopped": "iterations", "dropped": 0}
     assert set(report["gaussians"]) == {"surfels", "gaussians"}
-    assert report["settings"]["expert"] == asdict(ExpertConfig())
+    assert report["settings"]["expert"] == asdict(make_config(overrides=["gloss.height=8"]).expert)
     assert report["psnr_test"] > 20 and 0 < report["ssim_test"] < 1
     assert {"seconds", "stage", "iteration", "psnr", "surfels", "gaussians"} <= set(report["curve"][0])
     faces = trimesh.load_mesh(done / "mesh.ply", process=False).faces

@@ -33,8 +33,8 @@ class Machine:
     def running(self) -> Iterator[None]:
         """Run operations on `device` as CUDA kernels within the block.
 
-        But on a card, torch.empty gives NaN and the largest integers, so that what reads before it writes comes to
-        light.
+        Except on a card, torch.empty gives NaN and the largest integers, so that a kernel fails its test if it reads
+        what it has not written.
         """
         if self.order is None:
             yield

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from mgsr.native.cuda import tiles
-from mgsr.native.cuda.gaussians import ProjectParams, splats_struct
+from mgsr.native.cuda.gaussians import GaussianProjectParams, splats_struct
 from mgsr.native.cuda.params import Int, Long, Pointer, pointer, pointers
 from mgsr.native.cuda.tiles import TILE
 from mgsr.native.structs import GaussianSplats, GaussianView
@@ -58,7 +58,7 @@ def project(count: int) -> tuple[np.ndarray, np.ndarray]:
     )
     view = GaussianView(camera=camera(WIDTH, HEIGHT), near=0.01, low_pass=0.3, compensate=False)
     struct = splats_struct(splats, view)
-    projected = tiles.project(ShimLauncher(), "gaussians", ProjectParams, struct, torch.empty(count))
+    projected = tiles.project(ShimLauncher(), "gaussians", GaussianProjectParams, struct, torch.empty(count))
     seen = projected.whole.tile_counts > 0
     return projected.records[seen].numpy(), projected.outlines[seen].numpy()
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from mgsr.data.camera import Camera
-from mgsr.native.cuda.gaussians import ProjectParams, splats_struct
+from mgsr.native.cuda.gaussians import GaussianProjectParams, splats_struct
 from mgsr.native.cuda.params import Pointer, pointer
 from mgsr.native.cuda.tiles import OUTLINE_FLOATS, RECORD_FLOATS, SPLAT_THREADS, splat_blocks
 from mgsr.native.structs import GaussianSplats, GaussianView
@@ -27,7 +27,7 @@ LOW_PASS = 0.3
 
 
 class Params(ctypes.Structure):
-    _fields_ = (("to", ProjectParams), ("sights", Pointer))
+    _fields_ = (("to", GaussianProjectParams), ("sights", Pointer))
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def project(kernel: str, splats: Splats, view: Camera, compensate: bool) -> Proj
     depths, radii = torch.zeros(count), torch.zeros(count)
     tile_counts, sights = torch.zeros(count, dtype=torch.int32), torch.zeros(count, dtype=torch.int32)
     arrays = (pointer(t) for t in (records, outlines, depths, tile_counts, radii))
-    params = Params(ProjectParams(struct, *arrays), pointer(sights))
+    params = Params(GaussianProjectParams(struct, *arrays), pointer(sights))
     ShimLauncher().launch("projection", kernel, splat_blocks(count), SPLAT_THREADS, params)
     return Projection(*(t.numpy() for t in (sights, records, outlines, depths, tile_counts, radii)))
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from mgsr.geometry.charts import LEAST_COS, Charts, cut_charts
+from mgsr.config.expert import ChartOptions
+from mgsr.geometry.charts import Charts, cut_charts
 from mgsr.geometry.mesh import Mesh
 
 
@@ -31,7 +32,7 @@ def test_charts_are_few_and_keep_the_surface(name: str) -> None:
     assert 6 <= charts.count <= 24
     flat = trimesh.Trimesh(np.column_stack([charts.places, np.zeros(len(charts.places))]), charts.faces, process=False)
     shrunk = flat.area_faces / shape.area_faces
-    assert shrunk.max() < 1 + 1e-6 and shrunk.min() > 0.5 * LEAST_COS
+    assert shrunk.max() < 1 + 1e-6 and shrunk.min() > 0.5 * ChartOptions().min_cosine
     # With y down, counter-clockwise faces have a negative z.
     assert (flat.triangles_cross[:, 2] < 0).all(), "none is turned over"
 
@@ -63,3 +64,12 @@ def test_a_coil_is_cut_where_it_covers_itself() -> None:
     assert charts.count >= 3
     flat = np.round(charts.places[charts.faces].mean(axis=1), 6)
     assert len(np.unique(flat, axis=0)) == len(flat), "no two faces lie on each other"
+
+
+def test_small_charts_join_their_neighbours() -> None:
+    """Check a bumpy ball, on which many single faces look another way than those around them."""
+    shape = trimesh.creation.icosphere(4)
+    bumps = np.random.default_rng(0).normal(1, 0.02, (len(shape.vertices), 1))
+    mesh = Mesh(np.asarray(shape.vertices) * bumps, np.asarray(shape.faces))
+    apart = cut_charts(mesh, 0.0, ChartOptions(smoothing=0, small=0.0))
+    assert apart.count > 3 * cut_charts(mesh, 0.0, ChartOptions(smoothing=0)).count

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from mgsr.config.expert import CoverageOptions, InspectionConfig, PairOptions, PhotoCheckOptions
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, View
 from mgsr.inspection.findings import Code, Finding, Severity
@@ -175,3 +176,13 @@ def test_a_real_capture_with_a_doubled_cluster(shared_data: Path) -> None:
     inspection = inspect_scene(replace(scene, train=train))
     assert inspection.findings[0].code is Code.DOUBLED_STRUCTURE
     assert set(inspection.contradictory) <= cluster and len(inspection.contradictory) > 6
+
+
+def test_options_reach_the_checks(room: Room) -> None:
+    scene = room_scene(room.views)
+    photos, coverage = PhotoCheckOptions(wide=1.0), CoverageOptions(small_angle=180.0)
+    strict = InspectionConfig(photos=photos, coverage=coverage)
+    codes = {finding.code for finding in inspect_scene(scene, options=strict).findings}
+    assert {Code.WIDE_LENS, Code.LITTLE_PARALLAX} <= codes
+    few = inspect_scene(scene, options=InspectionConfig(photographs=5, pairs=PairOptions(min_matches=100_000)))
+    assert len(few.photographs) == 5 and all(each.residual is None for each in few.photographs)

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
+from mgsr.config.expert import PairOptions
 from mgsr.inspection.features import Features, match
-from mgsr.inspection.pairs import FEWEST, Pair, epipolar_residuals, fundamental_matrix
+from mgsr.inspection.pairs import Pair, epipolar_residuals, fundamental_matrix
 from mgsr.inspection.pose_check import PoseGroups, group_by_pose
 from mgsr.inspection.tracks import find_tracks
 from mgsr.inspection.verdicts import Judged, Verdict, judge
@@ -70,7 +71,7 @@ def test_tracks_are_the_points() -> None:
 
 
 def judged(edges: list[tuple[int, int, Verdict]]) -> Judged:
-    some = np.zeros((FEWEST, 2), np.int64)
+    some = np.zeros((PairOptions().min_matches, 2), np.int64)
     verdicts = tuple(verdict for *_, verdict in edges)
     return Judged(tuple(pair(one, other, some, 0.2) for one, other, _ in edges), verdicts, verdicts)
 

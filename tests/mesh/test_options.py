@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mgsr.config import ExpertConfig, MeshConfig, make_config
+from mgsr.config import ExpertConfig, MeshConfig, OutputConfig, make_config
 from mgsr.config.expert import ColorOptions, MeshOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.colors import seen_colors
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.poisson import cell_size
 from mgsr.mesh.steps import mesh_steps
+from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.mesh.surface_choice import is_torn
+from mgsr.mesh.texture import texture_mesh
 from mgsr.mesh.views import SurfaceView
 from tests.mesh.shapes import as_mesh, ball, cameras_around, views_of
 
@@ -59,6 +61,19 @@ def test_the_octrees_margin(views: list[SurfaceView]) -> None:
 def test_tears(mesh: Mesh) -> None:
     holes = mesh.keep_faces(np.arange(len(mesh.faces)) % 128 != 0)
     assert is_torn(holes, mesh) and not is_torn(holes, mesh, tears=10**6)
+
+
+def test_the_textured_model(views: list[SurfaceView], mesh: Mesh) -> None:
+    full = ReconstructedMesh(mesh.vertices, mesh.faces, np.full(mesh.vertices.shape, 0.5, np.float32))
+
+    def textured(*overrides: str) -> TexturedMesh:
+        output = OutputConfig(faces=None, texture=None)
+        return texture_mesh(full, views, 0.03, output, MeshConfig(), shaded=False, options=expert(*overrides).mesh)
+
+    usual = textured()
+    assert max(textured("unwrap.max_side=48").size) < 0.7 * max(usual.size)
+    assert max(textured("unwrap.padding=24").size) > max(usual.size)
+    assert len(textured("charts.min_cosine=0.9").vertices) != len(usual.vertices), "charts end elsewhere"
 
 
 def changed(node: Any) -> Any:

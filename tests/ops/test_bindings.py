@@ -283,3 +283,13 @@ def test_the_stub_declares_what_is_there(family: ModuleType) -> None:
     names = declared(ast.parse(stub.read_text(encoding="utf-8")).body)
     assert names == compiled(family)
     assert max(len(set(arguments) - {"self"}) for arguments in names.values()) <= MOST_ARGUMENTS
+
+
+@pytest.mark.parametrize(
+    "path", sorted((Path(structs.__file__).parent / "cuda").glob("*.py")), ids=lambda each: each.name
+)
+def test_no_function_of_the_card_takes_more_arguments(path: Path) -> None:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef):
+            names = {each.arg for each in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)}
+            assert len(names - {"self"}) <= MOST_ARGUMENTS, f"{node.name}: group them in structs.py"

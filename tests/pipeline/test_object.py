@@ -22,13 +22,21 @@ from mgsr.pipeline.single_steps import mesh_again, score_again
 from mgsr.pipeline.steps import StepClock, Steps
 from tests.segmentation.table_scene import TABLE, table_scene
 
+pytestmark = pytest.mark.usefixtures("grainy_pictures")
+
 SHORT = [
     "warmup.surfel_iterations=100",
     "warmup.gaussian_iterations=30",
     "mutual.iterations=20",
     "model_selection.iterations=0",
 ]
-FEW = ["surfels.max_start=4000", "gaussians.max_start=2000", "environment_map.iterations=0", "mesh.poisson_depth=6"]
+FEW = [
+    *("search.iterations=250", "exposure=keep"),
+    "surfels.max_start=4000",
+    "gaussians.max_start=2000",
+    "environment_map.iterations=0",
+    "mesh.poisson_depth=6",
+]
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mgsr.config.expert import ObjectSearchOptions, SegmentationConfig
 from mgsr.segmentation.object_masks import FoundObject, NoObject, find_object
 from mgsr.start.starting_points import starting_points
 from tests.segmentation.table_scene import TABLE, table_scene
@@ -50,20 +51,22 @@ def test_the_table_is_found_and_not_part_of_the_object(found: tuple[FoundObject,
 
 
 @pytest.mark.parametrize(
-    ("options", "reason"),
+    ("iterations", "options", "reason"),
     [
-        ({"copies": 2}, "several objects"),
-        pytest.param({"standing": False}, "no level surface|nothing stands|no contour", marks=pytest.mark.slow),
+        (200, {"copies": 2}, "several objects"),
+        pytest.param(400, {"standing": False}, "no level surface|nothing stands|no contour", marks=pytest.mark.slow),
         pytest.param(
+            400,
             {"shift": 1.05},
             "cut the object off|nothing stands|do not show the object|no level surface",
             marks=pytest.mark.slow,
         ),
     ],
 )
-def test_a_capture_without_a_single_object_is_left_whole(options: dict[str, Any], reason: str) -> None:
+def test_a_capture_without_a_single_object_is_left_whole(iterations: int, options: dict[str, Any], reason: str) -> None:
     scene, _ = table_scene(**options)
-    result = find_object(scene, starting_points(scene, 8000, 0), 0)
+    search = SegmentationConfig(search=ObjectSearchOptions(iterations=iterations))
+    result = find_object(scene, starting_points(scene, 8000, 0), 0, options=search)
     assert isinstance(result, NoObject)
     assert any(part in result.reason for part in reason.split("|")), result.reason
 

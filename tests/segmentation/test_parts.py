@@ -9,6 +9,7 @@ import pytest
 import torch
 from scipy import ndimage
 
+from mgsr.config.expert import MatteOptions, RandomWalkerOptions, SupportPlaneOptions, TolerantHullOptions
 from mgsr.data.camera import Camera
 from mgsr.data.hull import hull_surface
 from mgsr.gaussians.start import SH_CONSTANT
@@ -18,8 +19,8 @@ from mgsr.geometry.raycast import pixel_rays
 from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.background import BackgroundSources
 from mgsr.segmentation.consensus import silhouette, tolerant_hull
-from mgsr.segmentation.mattes import without_small_holes
-from mgsr.segmentation.random_walker import CONTRAST, SMOOTHNESS, random_walker
+from mgsr.segmentation.mattes import first_region, hull_region, without_small_holes
+from mgsr.segmentation.random_walker import random_walker
 from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane, upward
 from tests.segmentation.table_scene import TABLE, table_scene
@@ -93,9 +94,35 @@ def test_a_plane_is_found_under_a_crowd_of_points() -> None:
     assert find_support_plane(points[:2], cameras(), 0.02, np.random.default_rng(1)) is None
 
 
+def test_a_steeper_plane_may_be_allowed() -> None:
+    flat = np.column_stack([np.random.default_rng(0).uniform(-1.5, 1.5, (2000, 2)), np.full(2000, -0.8)])
+    tilt = np.radians(50)
+    points = flat @ np.array([[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]])
+    generator, steep = np.random.default_rng(1), SupportPlaneOptions(max_tilt=80.0, min_above=0.0)
+    assert find_support_plane(points, cameras(), 0.02, generator) is None
+    plane = find_support_plane(points, cameras(), 0.02, generator, steep)
+    assert plane is not None and np.degrees(np.arccos(plane.normal[2])) == pytest.approx(50, abs=0.5)
+
+
+def test_without_smoothness_each_pixel_decides_for_itself() -> None:
+    as_background, as_object = np.random.default_rng(0).random((2, 7, 9)) * 3
+    whole, options = np.ones((7, 9), bool), RandomWalkerOptions(smoothness=0.0)
+    shares = random_walker(np.zeros((7, 9, 3), np.float32), as_background, as_object, whole, options)
+    np.testing.assert_allclose(shares, as_background / (as_background + as_object), atol=1e-4)
+
+
+def test_regions_reach_as_far_as_they_are_told() -> None:
+    mask, distance = np.zeros((40, 40), bool), np.full((40, 40), -30.0)
+    mask[18:22, 18:22], distance[10:30, 10:30] = True, -8.0
+    assert first_region(mask, MatteOptions(first_searched=2.0)).sum() > 4 * first_region(mask).sum()
+    assert not hull_region(mask, distance)[~mask].any() and hull_region(mask, distance)[mask].all()
+    assert hull_region(mask, distance, MatteOptions(searched=9.0))[10:30, 10:30].all()
+
+
 def test_shares_solve_the_random_walkers_equations() -> None:
     """Check the minimum against a dense solution of the same weighted graph, edge by edge."""
     random = np.random.default_rng(0)
+    usual = RandomWalkerOptions()
     image, region = random.random((7, 9, 3)).astype(np.float32), np.zeros((7, 9), bool)
     region[1:6, 2:8] = True
     as_background, as_object = random.random((2, 7, 9)) * 3
@@ -111,7 +138,9 @@ def test_shares_solve_the_random_walkers_equations() -> None:
             r, c = row + down - 1, column + across - 1
             if (r, c) != (row, column):
                 difference = float(((image[row, column] - image[r, c]) ** 2).sum())
-                weight = SMOOTHNESS * np.exp(-difference / (2 * CONTRAST**2)) / np.hypot(r - row, c - column)
+                weight = (
+                    usual.smoothness * np.exp(-difference / (2 * usual.contrast**2)) / np.hypot(r - row, c - column)
+                )
                 matrix[here, here] += weight
                 matrix[here, 9 * r + c] -= weight
     expected = np.linalg.solve(matrix, right).reshape(7, 9)
@@ -187,3 +216,5 @@ def test_a_hull_that_some_masks_contradict_shows_what_they_leave_out() -> None:
         assert (mask & ~true).sum() < 0.12 * true.sum()
     places = np.argwhere(hull.field > 0) * hull.voxel + hull.origin
     assert places[:, 2].min() > TABLE - 0.05
+    coarse = tolerant_hull(masks, seen, box, plane, 0.1, TolerantHullOptions(resolution=32))
+    assert coarse.voxel == pytest.approx(hull.voxel * 127 / 31, rel=0.1)

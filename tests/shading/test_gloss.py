@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mgsr.shading.gloss import HEIGHT, Mirrorings, fit_gloss, ggx_lobes, mirrored_share
+from mgsr.config.expert import GlossOptions
+from mgsr.shading.gloss import Mirrorings, fit_gloss, ggx_lobes, mirrored_share
 from mgsr.shading.material import MATTE
 
+HEIGHT = GlossOptions().height
 POINTS, SEEN, FACETS = 1200, 12, 96
 LAMPS = ((0.3, 0.8, 0.5), (-0.7, -0.2, 0.6), (0.5, -0.8, -0.1), (-0.4, 0.6, -0.6), (0.1, 0.1, 1.0))
 
@@ -83,6 +85,13 @@ def test_a_rough_coat_is_told() -> None:
     # The scale follows from the reflectance. Schlick's term, which made the observations, is stronger at grazing angles
     # than that of a rough surface.
     assert found == pytest.approx(mean, rel=0.5)
+
+
+def test_options_reach_the_fit() -> None:
+    seen = photographed(0.3, False, np.ones(3))
+    assert fit_gloss(seen, GlossOptions(matte_deviation=0.0)) is MATTE
+    coarse = fit_gloss(seen, GlossOptions(height=8, worse=1.0))
+    assert coarse.light is not None and coarse.light.shape == (8, 16, 3)
 
 
 def test_a_metal_has_its_tint() -> None:

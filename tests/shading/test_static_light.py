@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
+from mgsr.config.expert import StaticLightOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.ambient_occlusion import trace_hemispheres
 from mgsr.shading.static_light import static_irradiance
@@ -30,6 +31,14 @@ def test_light_from_one_side_is_told_from_patches() -> None:
 def test_patches_under_even_light_are_no_shading() -> None:
     mesh, albedo = ball_with_patches()
     irradiance = static_irradiance(mesh, albedo, trace_hemispheres(mesh, GAP))
+    np.testing.assert_allclose(irradiance, 1, atol=0.03)
+
+
+def test_a_light_that_explains_too_little_is_even() -> None:
+    mesh, albedo = ball_with_patches()
+    sent = albedo * (1 + 0.8 * mesh.normals.astype(float) @ np.array([[0.6], [0.0], [0.8]]))
+    demanding = StaticLightOptions(min_gain=1.0)
+    irradiance = static_irradiance(mesh, sent, trace_hemispheres(mesh, GAP), options=demanding)
     np.testing.assert_allclose(irradiance, 1, atol=0.03)
 
 

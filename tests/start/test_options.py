@@ -53,7 +53,7 @@ def test_the_hull_has_the_resolution_that_is_set(ball_scene: Scene) -> None:
 
 
 def test_too_few_points_of_stereo_make_a_ball(tmp_path: Path) -> None:
-    views = unmasked(photographs(True, 0.0, cameras_around(30, side=64)))
+    views = unmasked(photographs(True, 0.0, cameras_around(30, side=64)[:14]))
     scene = load_scene(BallCapture(views=12).write_plain(tmp_path), DataConfig(masks=Masks.OFF))
     scene = Scene("ball", Path(), "", views, [], None, scene.user_from_scene)
     for least, source in ((1, StartSource.STEREO), (10**6, StartSource.BALL)):
@@ -61,7 +61,7 @@ def test_too_few_points_of_stereo_make_a_ball(tmp_path: Path) -> None:
 
 
 def test_plane_sweep() -> None:
-    views = unmasked(photographs(True, 0.0, cameras_around(30, side=64)))
+    views = unmasked(photographs(True, 0.0, cameras_around(30, side=64)[:14]))
     usual = len(sweep_planes(views))
     assert usual > 100 and not len(sweep_planes(views, options=PlaneSweepOptions(agreement=1.0)))
     assert len(sweep_planes(views, options=PlaneSweepOptions(spacing=0.2, spacing_filled=0.2))) < 0.5 * usual

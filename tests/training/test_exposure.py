@@ -20,7 +20,7 @@ START = ball_points(1500)
 
 
 def varied(scene: Scene, deviation: float = 0.3) -> tuple[Scene, np.ndarray]:
-    """Draw each photograph's exposure, and its white balance a little, and return the scene and the factors [V,3].
+    """Vary each photograph's exposure, and slightly its white balance; return the scene and the factors [V,3].
 
     The factors are of the training views, then of the test views.
     """

@@ -57,6 +57,18 @@ class LowFrequencyOptions(Options):
 
 
 @dataclass(frozen=True)
+class ChartOptions(Options):
+    """The cut of a surface into flat charts."""
+
+    smoothing: WholeNumber = 30  # rounds of averaging the face normals, so that charts have smooth borders
+    min_cosine: Share = 0.25  # of a face's tilt in its chart, which stretches the face's texels by the inverse
+    kept: Share = 0.6  # times min_cosine; faces that tilt more than that leave a finished chart
+    small: Share = 1e-3  # of the surface's area; smaller charts join a neighbour that faces their way
+    rounds: WholeNumber = 6  # of joining small parts, and of taking out faces that their chart covers or tilts too far
+    inset: Share = 0.9  # of the way from a face's centre to its corners, where covering is tested
+
+
+@dataclass(frozen=True)
 class GeometryConfig(Options):
     """Algorithms on meshes."""
 

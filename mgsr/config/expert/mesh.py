@@ -8,8 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from mgsr.config.expert.shading import ShadingPass
-from mgsr.config.options import NotNegative, Options, Positive, Range, Share, WholeNumber
+from mgsr.config.expert.geometry import ChartOptions
+from mgsr.config.expert.shading import GlossOptions, ShadingPass, StaticLightOptions
+from mgsr.config.options import Count, NotNegative, Options, Positive, Range, Share, WholeNumber
 
 
 @dataclass(frozen=True)
@@ -77,12 +78,40 @@ class ColorOptions(Options):
 
 
 @dataclass(frozen=True)
+class UnwrapOptions(Options):
+    """The unwrapping of the surface into a texture atlas."""
+
+    padding: WholeNumber = 4  # texels between two charts, so that neither bilinear sampling nor mipmaps mix them
+    min_chart: Positive = 4.0  # texels along a side of the smallest chart
+    max_side: Count = 8192  # texels along a side; larger pictures are too much for many viewers
+    filled: Annotated[float, Range(0, 1, open=True)] = 0.6  # usual share of an atlas that charts fill
+    charts: ChartOptions = field(default_factory=ChartOptions)
+
+
+@dataclass(frozen=True)
+class TextureOptions(Options):
+    """The textured model: what is baked from the full surface into its pictures."""
+
+    edge: Positive = 2.0  # pixels; edge length of the mesh on which occlusion and shading are computed
+    max_faces: Count = 50_000  # of that mesh
+    same_side: Share = 0.2  # cosine between the normals of two surfaces below which they are different sides of a sheet
+    min_z: Positive = 0.05  # least z of a baked normal; a renderer shows black where it looks away from the surface
+    unwrap: UnwrapOptions = field(default_factory=UnwrapOptions)
+    gloss: GlossOptions = field(default_factory=GlossOptions)
+    static_light: StaticLightOptions = field(default_factory=StaticLightOptions)
+
+
+@dataclass(frozen=True)
 class MeshOptions(Options):
     """The mesh's extraction and finishing."""
 
+    mask_side: Annotated[int, Range(16)] = 800  # pixels; longer side of the reduced masks, whose contours are known to
+    # a fraction of a pixel
     poisson_margin: Annotated[float, Range(1)] = 1.1  # side of the octree's cube, relative to the points' bounding box
-    confirm_reach: Positive = 2.0  # times the tolerance; a view within it confirms a point: spans the depth noise alone
+    confirm_reach: Positive = 2.0  # times the tolerance; the distance from a view's surface up to which the view
+    # confirms a point, wide enough for the noise of depths
     choice: SurfaceChoiceOptions = field(default_factory=SurfaceChoiceOptions)
     view_fit: ViewFitOptions = field(default_factory=ViewFitOptions)
     colors: ColorOptions = field(default_factory=ColorOptions)
+    texture: TextureOptions = field(default_factory=TextureOptions)
     steps: MeshStepOptions = field(default_factory=MeshStepOptions)

@@ -203,6 +203,50 @@ class ResidualOptions(Options):
 
 
 @dataclass(frozen=True)
+class GlossOptions(Options):
+    """The fit of a surface's gloss for the textured model."""
+
+    edge: Positive = 3.0  # pixels; edge length of the mesh whose vertices the fit observes
+    max_faces: Count = MAX_FACES  # of that mesh
+    points: Count = 2000  # most points in the fit
+    min_observations: Count = 4  # photographs that see a point of the fit
+    height: Annotated[int, Range(2)] = 32  # cells of the map's polar angle; the azimuth has twice as many
+    smoothness: NotNegative = 0.002  # weight of the squared differences of neighbouring cells, relative to the
+    # observations of a cell
+    held_out: Annotated[int, Range(2)] = 4  # every so many photographs judge the fit
+    likely: Annotated[float, Range(1)] = 1.01  # times the least deviation; the mean of the roughnesses below is taken
+    possible: Annotated[float, Range(1)] = 1.04  # times the least deviation; roughnesses below are possible too
+    worse: Annotated[float, Range(1)] = 1.1  # times the least deviation; above it no larger roughness is tried
+    dielectric: Annotated[float, Range(0, 1, open=True)] = 0.04  # reflectance of dielectrics at normal incidence
+    metal: Share = 0.8  # reflectance of a metal in its brightest channel; the light's brightness is not known apart
+    # from it
+    metal_deviation: NotNegative = 1.15  # times a dielectric's deviation; a metal, without a matte part, may be so much
+    # worse
+    matte_deviation: NotNegative = 0.95  # times that of a surface without gloss; gloss must explain the photographs so
+    # much better
+    outlier: Positive = 0.1  # linear light; larger residuals count no more than this
+    first_steps: Count = 40  # most steps of the optimiser from a dark map
+    steps: Count = 20  # the same from the map of another roughness
+    tolerance: NotNegative = 1e-5  # relative reduction of the cost at which the optimiser ends
+
+
+@dataclass(frozen=True)
+class StaticLightOptions(Options):
+    """The separation of static light from a surface's colours. Source: Retinex, Land and McCann 1971."""
+
+    reach: NotNegative = 2.0  # edges over which the rays of neighbours are averaged
+    places: Annotated[int, Range(2)] = 3000  # of the surface, between which brightness is compared
+    neighbours: Count = 8  # of each place
+    step: Positive = 0.05  # change of the log albedo that begins to count as a step
+    prior: NotNegative = 0.004  # change of the log brightness that a light of 1 must explain between neighbours to be
+    # worth it
+    min_gain: Share = 0.03  # share of the cost by which a light must explain the changes better than even light
+    min_change: NotNegative = 0.01  # change of the log brightness, root mean square, that a light must explain
+    darkest: Annotated[float, Range(0, 1, open=True)] = 0.1  # least irradiance, so that dark places keep their noise
+    evaluations: Count = 15  # most evaluations of the fit
+
+
+@dataclass(frozen=True)
 class ShadingConfig(Options):
     """All that reads the photographs' shading."""
 

@@ -40,7 +40,7 @@ _GEOCENTRIC = re.compile(r"EPSG:(?:4978|4936|4328|4896)(?!\d)|GEOCCS|PROJCS|PROJ
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first .xml of the folder that begins as such files do."""
+    """Return the first .xml of the folder with the header of the format."""
     paths = (path for path in sorted(root.glob("[!.]*.[xX][mM][lL]")) if path.is_file())
     return next((path.name for path in paths if _is_exchange(path)), None)
 

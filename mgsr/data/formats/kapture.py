@@ -143,6 +143,7 @@ def _pose(time: str, device: str, dataset: _Dataset, source: str, depth: int) ->
 
 
 def _rigid(fields: list[str], source: str) -> np.ndarray:
+    """Return the pose [4,4] of a quaternion wxyz and a translation, seven fields of a file."""
     values = numbers(fields, 7, "pose", source)
     return rigid(rotation_of(values[:4], source), values[4:])
 

@@ -29,7 +29,7 @@ _WORDS = {"NVM_V3": 10, "NVM_V3_R9T": 15}
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first .nvm of the folder that begins as such files do."""
+    """Return the first .nvm of the folder with the header of the format."""
     return next((path.name for path in sorted(root.glob("[!.]*.nvm")) if _version(path)), None)
 
 

@@ -139,7 +139,7 @@ def _id(value: Any) -> Any:
 
 
 def _path(root_path: str, view: dict[str, Any]) -> Any:
-    """Return the path of the view's photograph; the file's entry alone where that is no text."""
+    """Return the path of the view's photograph; the file's entry alone if it is not a text."""
     name = view.get("filename")
     if not isinstance(name, str) or not root_path or re.match(r"/|[A-Za-z]:|\\", name):
         return name

@@ -33,7 +33,7 @@ def read(folder: SceneFolder) -> Capture:
     if not isinstance(views, list) or not all(isinstance(view, dict) for view in views):
         raise SceneError(f"{_FILE}: expected 'views' to be a list of objects with K, cam_from_world and image")
     splits = [_split(view, i) for i, view in enumerate(views)]
-    # Views that say nothing train, as soon as one view says something.
+    # If a view names its split, views that name none are for training.
     default = Split.TRAIN if any(splits) else None
     found = folder.find_photos(_FILE, [view.get("image") for view in views])
     return Capture.of(found, lambda i, path: _photo(folder, path, views[i], i, splits[i] or default))

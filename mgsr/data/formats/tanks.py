@@ -86,7 +86,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def _entries(path: Path) -> list[_LogEntry]:
-    """Read the entries of a log, each of five lines. Raises SceneError for others."""
+    """Read the entries of a log, each of five lines. Raises SceneError for entries of another form."""
     rows = read_rows(path, LARGEST_CAPTURE)
     blocks = [rows[i : i + 5] for i in range(0, len(rows), 5)]
     for i, block in enumerate(blocks):

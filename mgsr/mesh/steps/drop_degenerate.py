@@ -1,4 +1,4 @@
-"""Drop faces that are none."""
+"""Drop degenerate faces."""
 
 from __future__ import annotations
 

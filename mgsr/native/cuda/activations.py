@@ -9,7 +9,7 @@ from enum import IntEnum
 from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Float, Int, Long, pointer, pointers
+from mgsr.native.cuda.params import Float, Int, Long, addresses, pointers
 
 MOST_ARRAYS, THREADS, BLOCK_FLOATS = 8, 256, 1024
 
@@ -25,7 +25,7 @@ class ActivatedArray(ctypes.Structure):
     _fields_ = (("kind", Int), ("end", Int), ("count", Long), *pointers("in", "v_out", "out"))
 
 
-class Params(ctypes.Structure):
+class ActivationParams(ctypes.Structure):
     _fields_ = (("arrays", Int), ("largest", Float), ("array", ActivatedArray * MOST_ARRAYS))
 
 
@@ -33,7 +33,8 @@ def activate(
     launcher: Launcher, kinds: Sequence[Activation], largest: float, stored: Sequence[Tensor], used: Sequence[Tensor]
 ) -> None:
     """Write the activated values of stored tensors [...]; an exponent above `largest` counts as `largest`."""
-    _launch(launcher, "forward", kinds, largest, stored, [None] * len(used), used)
+    arrays = [(tensor, None, out) for tensor, out in zip(stored, used, strict=True)]
+    _launch(launcher, "forward", kinds, largest, arrays)
 
 
 def activate_vjp(
@@ -45,7 +46,7 @@ def activate_vjp(
     v_stored: Sequence[Tensor],
 ) -> None:
     """Write the gradients [...] of the stored parameters from those of the activated values, all of equal shapes."""
-    _launch(launcher, "backward", kinds, largest, used, v_used, v_stored)
+    _launch(launcher, "backward", kinds, largest, list(zip(used, v_used, v_stored, strict=True)))
 
 
 def _launch(
@@ -53,14 +54,12 @@ def _launch(
     direction: str,
     kinds: Sequence[Activation],
     largest: float,
-    first: Sequence[Tensor],
-    gradients: Sequence[Tensor | None],
-    out: Sequence[Tensor],
+    arrays: Sequence[tuple[Tensor, Tensor | None, Tensor]],
 ) -> None:
-    assert len(out) <= MOST_ARRAYS, f"expected at most {MOST_ARRAYS} tensors, got {len(out)}"
-    params, end = Params(len(out), largest), 0
-    for index, (kind, tensor, gradient, written) in enumerate(zip(kinds, first, gradients, out, strict=True)):
+    """Run a kernel on arrays, each with its gradient, if any, and with what is written."""
+    assert len(arrays) <= MOST_ARRAYS, f"expected at most {MOST_ARRAYS} tensors, got {len(arrays)}"
+    params, end = ActivationParams(len(arrays), largest), 0
+    for index, (kind, (tensor, gradient, written)) in enumerate(zip(kinds, arrays, strict=True)):
         end += -(-tensor.numel() // BLOCK_FLOATS)
-        arrays = (pointer(tensor), pointer(gradient), pointer(written))
-        params.array[index] = ActivatedArray(kind, end, tensor.numel(), *arrays)
+        params.array[index] = ActivatedArray(kind, end, tensor.numel(), *addresses(tensor, gradient, written))
     launcher.launch("activations", f"activations_{direction}", end, THREADS, params)

@@ -33,7 +33,7 @@ class Group(ctypes.Structure):
     )
 
 
-class Params(ctypes.Structure):
+class AdamParams(ctypes.Structure):
     """The struct AdamParams of kernels/adam/adam.cu."""
 
     _fields_ = (("groups", Int), ("ends", Int * MAX_GROUPS), *pointers("bad"), ("group", Group * MAX_GROUPS))
@@ -43,7 +43,7 @@ class JudgedArray(ctypes.Structure):
     _fields_ = (("end", Int), ("count", Long), *pointers("values"))
 
 
-class SquaresParams(ctypes.Structure):
+class SumOfSquaresParams(ctypes.Structure):
     _fields_ = (("arrays", Int), ("array", JudgedArray * MAX_JUDGED), *pointers("sums"))
 
 
@@ -54,7 +54,7 @@ class VerdictParams(ctypes.Structure):
 def judge(launcher: Launcher, tensors: Sequence[torch.Tensor]) -> torch.Tensor:
     """Return whether a number in the tensors is not finite, or has a square that is not: [] bool, not read."""
     assert len(tensors) <= MAX_JUDGED, f"expected at most {MAX_JUDGED} tensors, got {len(tensors)}"
-    params, end = SquaresParams(len(tensors)), 0
+    params, end = SumOfSquaresParams(len(tensors)), 0
     for array, tensor in zip(params.array, tensors, strict=False):
         count = tensor.numel()
         end += -(-count // BLOCK_FLOATS)
@@ -85,7 +85,7 @@ def update(
     """
     for begin in range(0, len(groups), MAX_GROUPS):
         some = groups[begin : begin + MAX_GROUPS]
-        params, end = Params(len(some)), 0
+        params, end = AdamParams(len(some)), 0
         params.bad = pointer(bad)
         for index, (group, gradients, rate, step) in enumerate(some):
             end += -(-gradients.numel() // BLOCK_FLOATS)

@@ -15,7 +15,7 @@ from mgsr.native.structs import EnvironmentMapLookup
 THREADS, WARP, CELL_FIELDS = 128, 32, 12
 
 
-class PixelParams(ctypes.Structure):
+class EnvironmentMapParams(ctypes.Structure):
     """The struct EnvironmentMapParams of kernels/environment_map/environment_map.cu."""
 
     _fields_ = (
@@ -70,7 +70,7 @@ class EnvironmentMapKernels:
         count = _count(lookup)
         inputs = (count, pointer(pixels), normals.shape[1], maps.shape[1], pointer(maps), pointer(normals))
         lens = ((Float * 9)(*camera.cam_from_world[:3, :3].ravel().tolist()), *intrinsics(camera))
-        params = PixelParams(*inputs, *lens, *addresses(*arrays))
+        params = EnvironmentMapParams(*inputs, *lens, *addresses(*arrays))
         self._launcher.launch("environment_map", kernel, -(-count // THREADS), THREADS, params)
 
     def _add_up(

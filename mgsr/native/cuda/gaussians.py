@@ -27,7 +27,7 @@ from mgsr.native.cuda.tiles import (
     splat_blocks,
     sum_pairs,
 )
-from mgsr.native.cuda.view import Camera, camera_struct
+from mgsr.native.cuda.view import CameraStruct, camera_struct
 from mgsr.native.structs import (
     GaussianGradients,
     GaussianImageGradients,
@@ -42,13 +42,13 @@ PIXEL_PLANES = {"single": 5, "dual": 10}
 SPLAT_TENSORS = ("means", "quats", "scales", "opacities", "colors", "refl_opacities", "refl_colors", "weights")
 
 
-class Splats(ctypes.Structure):
+class GaussianSplatsStruct(ctypes.Structure):
     """The struct GaussianSplats of kernels/gaussians/projection_cuda.h."""
 
     _fields_ = (
         ("count", Long),
         *pointers(*SPLAT_TENSORS),
-        ("camera", Camera),
+        ("camera", CameraStruct),
         ("width", Int),
         ("height", Int),
         ("near", Float),
@@ -57,11 +57,11 @@ class Splats(ctypes.Structure):
     )
 
 
-class ProjectParams(ctypes.Structure):
-    _fields_ = (("in", Splats), *PROJECTED)
+class GaussianProjectParams(ctypes.Structure):
+    _fields_ = (("in", GaussianSplatsStruct), *PROJECTED)
 
 
-class BlendParams(ctypes.Structure):
+class GaussianBlendParams(ctypes.Structure):
     _fields_ = (
         ("tiles", Tiles),
         *pointers("records", "background", "color", "alpha", "depth", "reflected", "weight"),
@@ -69,7 +69,7 @@ class BlendParams(ctypes.Structure):
     )
 
 
-class PixelParams(ctypes.Structure):
+class GaussianPixelParams(ctypes.Structure):
     _fields_ = (
         ("tiles", Tiles),
         *pointers("transmittance", "color", "depth", "reflected", "weight"),
@@ -77,20 +77,20 @@ class PixelParams(ctypes.Structure):
     )
 
 
-class BackwardParams(ctypes.Structure):
+class GaussianBackwardParams(ctypes.Structure):
     _fields_ = (("tiles", Tiles), *pointers("records", "states", "reached", "planes", "pairs"))
 
 
-class GradientParams(ctypes.Structure):
+class GaussianGradientParams(ctypes.Structure):
     _fields_ = (
-        ("in", Splats),
+        ("in", GaussianSplatsStruct),
         *pointers("records", "radii", "sums", "tile_counts"),
         *pointers(*(f"v_{name}" for name in SPLAT_TENSORS), "v_means2d"),
     )
 
 
 @dataclass
-class Frame:
+class GaussianForwardState:
     """What backward needs kept from forward.
 
     blended: of the one band that most images are, until backward takes it; bands of an image too large for that are
@@ -118,21 +118,23 @@ class GaussianKernels:
     def __init__(self, launcher: Launcher, keep: bool) -> None:
         self._launcher, self._keep = launcher, keep
 
-    def forward(self, splats: GaussianSplats, view: GaussianView, images: GaussianImages, radii: Tensor) -> Frame:
+    def forward(
+        self, splats: GaussianSplats, view: GaussianView, images: GaussianImages, radii: Tensor
+    ) -> GaussianForwardState:
         """Render into the images and radii [N], and return what `backward` takes.
 
         Raises GpuError where the card's memory is too small.
         """
-        projected = project(self._launcher, "gaussians", ProjectParams, splats_struct(splats, view), radii)
+        projected = project(self._launcher, "gaussians", GaussianProjectParams, splats_struct(splats, view), radii)
         transmittance = radii.new_empty(projected.height, projected.width)
-        frame = Frame(projected, radii, transmittance, [projected.whole])
+        frame = GaussianForwardState(projected, radii, transmittance, [projected.whole])
         blend = partial(self._blend, frame, splats.background, images)
         frame.bands, frame.blended = blend_bands(self._launcher, projected, blend, self._keep)
         return frame
 
     def backward(
         self,
-        frame: Frame,
+        frame: GaussianForwardState,
         splats: GaussianSplats,
         view: GaussianView,
         images: GaussianImages,
@@ -152,39 +154,46 @@ class GaussianKernels:
 
         sums = add_bands(self._launcher, frame.projected, frame.bands, walk_back)
         arrays = (frame.projected.records, frame.radii, sums, frame.projected.whole.tile_counts, *v_splats)
-        gradients = GradientParams(frame.projected.splats, *addresses(*arrays))
+        gradients = GaussianGradientParams(frame.projected.splats, *addresses(*arrays))
         blocks = splat_blocks(splats.means.shape[0])
         self._launcher.launch("gaussians", "gaussians_gradients", blocks, SPLAT_THREADS, gradients)
 
-    def _blend(self, frame: Frame, background: Tensor, images: GaussianImages, band: Band, keep: bool) -> Blended:
+    def _blend(
+        self, frame: GaussianForwardState, background: Tensor, images: GaussianImages, band: Band, keep: bool
+    ) -> Blended:
         """Draw a band's pixels into the images."""
         lists, kind = list_tiles(self._launcher, frame.projected, band), _kind(images)
         reached, states = lists.ranges.new_empty(lists.tiles), None
         if keep:
             states = background.new_empty(lists.most_buckets, STATE_PLANES[kind], TILE_PIXELS)
         arrays = (frame.projected.records, background, *images, frame.transmittance, states, reached)
-        params = BlendParams(lists.struct, *addresses(*arrays))
+        params = GaussianBlendParams(lists.struct, *addresses(*arrays))
         self._launcher.launch("gaussians", f"gaussians_blend_{kind}", lists.tiles, TILE_PIXELS, params)
         return Blended(lists, states, reached)
 
     def _walk_back(
-        self, frame: Frame, blended: Blended, images: GaussianImages, v_images: GaussianImageGradients
+        self, frame: GaussianForwardState, blended: Blended, images: GaussianImages, v_images: GaussianImageGradients
     ) -> Tensor:
         """Return the gradients [N,16] of each splat from a band's pixels."""
         lists, kind = blended.lists, _kind(images)
         planes = self._prepare_pixels(kind, frame, lists, images, v_images)
         pairs = planes.new_empty(lists.pairs, PAIR_FIELDS)
         arrays = (frame.projected.records, blended.states, blended.reached, planes, pairs)
-        params = BackwardParams(lists.struct, *addresses(*arrays))
+        params = GaussianBackwardParams(lists.struct, *addresses(*arrays))
         self._launcher.launch("gaussians", f"gaussians_backward_{kind}", lists.bucket_blocks, BUCKET_THREADS, params)
         return sum_pairs(self._launcher, lists, pairs)
 
     def _prepare_pixels(
-        self, kind: str, frame: Frame, lists: TileLists, images: GaussianImages, v_images: GaussianImageGradients
+        self,
+        kind: str,
+        frame: GaussianForwardState,
+        lists: TileLists,
+        images: GaussianImages,
+        v_images: GaussianImageGradients,
     ) -> Tensor:
         planes = images.color.new_empty(lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
         forward = (frame.transmittance, images.color, images.depth, images.reflected, images.weight)
-        params = PixelParams(lists.struct, *addresses(*forward, *v_images, planes))
+        params = GaussianPixelParams(lists.struct, *addresses(*forward, *v_images, planes))
         self._launcher.launch("gaussians", f"gaussians_pixels_{kind}", lists.tiles, TILE_PIXELS, params)
         return planes
 
@@ -193,7 +202,7 @@ def _kind(images: GaussianImages) -> str:
     return "single" if images.reflected is None else "dual"
 
 
-def splats_struct(splats: GaussianSplats, view: GaussianView) -> Splats:
+def splats_struct(splats: GaussianSplats, view: GaussianView) -> GaussianSplatsStruct:
     """Return the struct of the splats, which must outlive the launch, and the view, for the kernels' parameters."""
     camera = view.camera
     arrays = addresses(
@@ -201,4 +210,4 @@ def splats_struct(splats: GaussianSplats, view: GaussianView) -> Splats:
         *(splats.refl_opacities, splats.refl_colors, splats.weights),
     )
     lens = (camera_struct(camera), camera.width, camera.height)
-    return Splats(splats.means.shape[0], *arrays, *lens, view.near, view.low_pass, view.compensate)
+    return GaussianSplatsStruct(splats.means.shape[0], *arrays, *lens, view.near, view.low_pass, view.compensate)

@@ -13,7 +13,7 @@ from mgsr.native.structs import Harmonics
 THREADS = 64
 
 
-class Params(ctypes.Structure):
+class HarmonicsParams(ctypes.Structure):
     """The struct HarmonicsParams of kernels/harmonics/harmonics.cu."""
 
     _fields_ = (
@@ -43,6 +43,6 @@ class HarmonicsKernels:
     def _run(self, direction: str, splats: Harmonics, arrays: tuple[Tensor | None, ...]) -> None:
         n, k = splats.coeffs.shape[:2]
         inputs = (pointer(splats.coeffs), pointer(splats.means), (Float * 3)(*splats.center.tolist()))
-        params = Params(n, k, splats.degree, *inputs, *addresses(*arrays))
+        params = HarmonicsParams(n, k, splats.degree, *inputs, *addresses(*arrays))
         kernel = f"harmonics_{direction}_{splats.degree}"
         self._launcher.launch("harmonics", kernel, -(-n // THREADS), THREADS, params)

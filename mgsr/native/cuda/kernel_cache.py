@@ -52,7 +52,7 @@ class KernelCache:
         return code if digest == _digest(key, code) else None
 
     def put(self, key: bytes, code: bytes) -> None:
-        """Keep the machine code of a key, in the place of what is there."""
+        """Store the machine code of a key, and replace any that the key has."""
         from cuda.core.utils import FileStreamProgramCache
 
         if self._folder is None:

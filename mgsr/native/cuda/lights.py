@@ -8,6 +8,7 @@ from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
 from mgsr.native.cuda.params import Float, Long, addresses, pointer, pointers
+from mgsr.native.structs import UnlitGradients
 
 THREADS = 256
 
@@ -92,12 +93,11 @@ class LightKernels:
         shading: Tensor,
         offset: float,
         add_alpha: Tensor | None,
-        v_unlit: Tensor,
-        v_alpha: Tensor,
+        out: UnlitGradients,
     ) -> None:
-        """Write v_unlit [H,W,3], and v_alpha [H,W] with add_alpha added."""
+        """Write the gradients of the unlit image, with add_alpha [H,W] added to that of alpha."""
         arrays = addresses(v_image, background, shading)
-        written = addresses(add_alpha, v_unlit, v_alpha)
+        written = addresses(add_alpha, out.v_unlit, out.v_alpha)
         self._run("lights_light_up_vjp", shading, LightUpVjpParams(shading.numel(), *arrays, offset, *written))
 
     def _run(self, kernel: str, plane: Tensor, params: ctypes.Structure) -> None:

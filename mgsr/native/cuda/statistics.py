@@ -8,11 +8,12 @@ from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
 from mgsr.native.cuda.params import Float, Long, addresses, pointer, pointers
+from mgsr.native.structs import SplatStatistics
 
 THREADS = 256
 
 
-class Params(ctypes.Structure):
+class StatisticsParams(ctypes.Structure):
     """The struct StatisticsParams of kernels/statistics/statistics.cu."""
 
     _fields_ = (
@@ -26,17 +27,16 @@ class Params(ctypes.Structure):
 
 def gather(
     launcher: Launcher,
-    gradient_sum: Tensor,
-    seen: Tensor,
+    statistics: SplatStatistics,
     v_means2d: Tensor,
     radii: Tensor,
     scale: tuple[float, float],
     bad: Tensor | None,
 ) -> None:
-    """Add |v_means2d [N,2] * scale| to gradient_sum [N], and 1 to seen [N] where radii [N] > 0, in place.
+    """Add |v_means2d [N,2] * scale| to the gradients' sum, and 1 to `seen` where radii [N] > 0, in place.
 
-    bad [] bool: nothing is added to gradient_sum where it is True.
+    bad [] bool: nothing is added to the sum where it is True.
     """
-    arrays = addresses(bad, gradient_sum, seen)
-    params = Params(len(seen), pointer(v_means2d), pointer(radii), *scale, *arrays)
-    launcher.launch("statistics", "statistics_gather", -(-len(seen) // THREADS), THREADS, params)
+    count, arrays = len(statistics.seen), addresses(bad, *statistics)
+    params = StatisticsParams(count, pointer(v_means2d), pointer(radii), *scale, *arrays)
+    launcher.launch("statistics", "statistics_gather", -(-count // THREADS), THREADS, params)

@@ -27,7 +27,7 @@ from mgsr.native.cuda.tiles import (
     splat_blocks,
     sum_pairs,
 )
-from mgsr.native.cuda.view import Camera, camera_struct
+from mgsr.native.cuda.view import CameraStruct, camera_struct
 from mgsr.native.structs import SurfelGradients, SurfelImageGradients, SurfelImages, SurfelSplats, SurfelView
 
 # Floats kept of each pixel at the begin of a bucket, and made ready of each pixel for the backward pass.
@@ -37,24 +37,24 @@ SPLAT_TENSORS = ("means", "quats", "scales", "opacities", "colors")
 DEPTHS = (("near", Float), ("far", Float), ("low_pass", Float))
 
 
-class Splats(ctypes.Structure):
+class SurfelSplatsStruct(ctypes.Structure):
     """The struct SurfelSplats of kernels/surfels/projection_cuda.h."""
 
     _fields_ = (
         ("count", Long),
         *pointers(*SPLAT_TENSORS),
-        ("camera", Camera),
+        ("camera", CameraStruct),
         ("width", Int),
         ("height", Int),
         *DEPTHS,
     )
 
 
-class ProjectParams(ctypes.Structure):
-    _fields_ = (("in", Splats), *PROJECTED)
+class SurfelProjectParams(ctypes.Structure):
+    _fields_ = (("in", SurfelSplatsStruct), *PROJECTED)
 
 
-class BlendParams(ctypes.Structure):
+class SurfelBlendParams(ctypes.Structure):
     _fields_ = (
         ("tiles", Tiles),
         *pointers("records", "outlines", "background"),
@@ -64,7 +64,7 @@ class BlendParams(ctypes.Structure):
     )
 
 
-class PixelParams(ctypes.Structure):
+class SurfelPixelParams(ctypes.Structure):
     _fields_ = (
         ("tiles", Tiles),
         *pointers("transmittance", "moments", "color", "depth", "normal"),
@@ -72,7 +72,7 @@ class PixelParams(ctypes.Structure):
     )
 
 
-class BackwardParams(ctypes.Structure):
+class SurfelBackwardParams(ctypes.Structure):
     _fields_ = (
         ("tiles", Tiles),
         *pointers("records", "outlines"),
@@ -83,16 +83,16 @@ class BackwardParams(ctypes.Structure):
     )
 
 
-class GradientParams(ctypes.Structure):
+class SurfelGradientParams(ctypes.Structure):
     _fields_ = (
-        ("in", Splats),
+        ("in", SurfelSplatsStruct),
         *pointers("records", "sums", "tile_counts"),
         *pointers(*(f"v_{name}" for name in SPLAT_TENSORS), "v_means2d"),
     )
 
 
 @dataclass
-class Frame:
+class SurfelForwardState:
     """What backward needs kept from forward.
 
     blended: of the one band that most images are, until backward takes it; bands of an image too large for that are
@@ -120,22 +120,24 @@ class SurfelKernels:
     def __init__(self, launcher: Launcher, keep: bool) -> None:
         self._launcher, self._keep = launcher, keep
 
-    def forward(self, splats: SurfelSplats, view: SurfelView, images: SurfelImages, radii: Tensor) -> Frame:
+    def forward(
+        self, splats: SurfelSplats, view: SurfelView, images: SurfelImages, radii: Tensor
+    ) -> SurfelForwardState:
         """Render into the images and radii [N], and return what `backward` takes.
 
         Raises GpuError where the card's memory is too small.
         """
-        projected = project(self._launcher, "surfels", ProjectParams, _splats_struct(splats, view), radii)
+        projected = project(self._launcher, "surfels", SurfelProjectParams, _splats_struct(splats, view), radii)
         size = (projected.height, projected.width)
         moments = None if images.distortion is None else radii.new_empty(*size, 2)
-        frame = Frame(projected, radii.new_empty(size), moments, [projected.whole])
+        frame = SurfelForwardState(projected, radii.new_empty(size), moments, [projected.whole])
         blend = partial(self._blend, frame, splats.background, view, images)
         frame.bands, frame.blended = blend_bands(self._launcher, projected, blend, self._keep)
         return frame
 
     def backward(
         self,
-        frame: Frame,
+        frame: SurfelForwardState,
         splats: SurfelSplats,
         view: SurfelView,
         images: SurfelImages,
@@ -155,12 +157,18 @@ class SurfelKernels:
 
         sums = add_bands(self._launcher, frame.projected, frame.bands, walk_back)
         arrays = addresses(frame.projected.records, sums, frame.projected.whole.tile_counts, *v_splats)
-        gradients = GradientParams(frame.projected.splats, *arrays)
+        gradients = SurfelGradientParams(frame.projected.splats, *arrays)
         blocks = splat_blocks(splats.means.shape[0])
         self._launcher.launch("surfels", "surfels_gradients", blocks, SPLAT_THREADS, gradients)
 
     def _blend(
-        self, frame: Frame, background: Tensor, view: SurfelView, images: SurfelImages, band: Band, keep: bool
+        self,
+        frame: SurfelForwardState,
+        background: Tensor,
+        view: SurfelView,
+        images: SurfelImages,
+        band: Band,
+        keep: bool,
     ) -> Blended:
         """Draw a band's pixels into the images."""
         lists = list_tiles(self._launcher, frame.projected, band)
@@ -170,12 +178,17 @@ class SurfelKernels:
             states = background.new_empty(lists.most_buckets, STATE_PLANES[kind], TILE_PIXELS)
         arrays = addresses(*images, frame.transmittance, frame.moments, states, reached)
         inputs = addresses(frame.projected.records, frame.projected.outlines, background)
-        params = BlendParams(lists.struct, *inputs, *_depths(view), *arrays)
+        params = SurfelBlendParams(lists.struct, *inputs, *_depths(view), *arrays)
         self._launcher.launch("surfels", f"surfels_blend_{kind}", lists.tiles, TILE_PIXELS, params)
         return Blended(lists, states, reached)
 
     def _walk_back(
-        self, frame: Frame, blended: Blended, view: SurfelView, images: SurfelImages, v_images: SurfelImageGradients
+        self,
+        frame: SurfelForwardState,
+        blended: Blended,
+        view: SurfelView,
+        images: SurfelImages,
+        v_images: SurfelImageGradients,
     ) -> Tensor:
         """Return the gradients [N,16] of each splat from a band's pixels."""
         assert blended.states is not None
@@ -185,16 +198,21 @@ class SurfelKernels:
         states, state_planes = pointer(blended.states), blended.states.shape[1]
         arrays = addresses(blended.reached, planes, pairs)
         splats = (pointer(frame.projected.records), pointer(frame.projected.outlines))
-        params = BackwardParams(lists.struct, *splats, *_depths(view), states, state_planes, *arrays)
+        params = SurfelBackwardParams(lists.struct, *splats, *_depths(view), states, state_planes, *arrays)
         self._launcher.launch("surfels", f"surfels_backward_{kind}", lists.bucket_blocks, BUCKET_THREADS, params)
         return sum_pairs(self._launcher, lists, pairs)
 
     def _prepare_pixels(
-        self, kind: str, frame: Frame, lists: TileLists, images: SurfelImages, v_images: SurfelImageGradients
+        self,
+        kind: str,
+        frame: SurfelForwardState,
+        lists: TileLists,
+        images: SurfelImages,
+        v_images: SurfelImageGradients,
     ) -> Tensor:
         planes = images.color.new_empty(lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
         forward = (frame.transmittance, frame.moments, images.color, images.depth, images.normal)
-        params = PixelParams(lists.struct, *addresses(*forward, *v_images, planes))
+        params = SurfelPixelParams(lists.struct, *addresses(*forward, *v_images, planes))
         self._launcher.launch("surfels", f"surfels_pixels_{kind}", lists.tiles, TILE_PIXELS, params)
         return planes
 
@@ -204,8 +222,8 @@ def _depths(view: SurfelView) -> tuple[float, float, float]:
     return view.near, view.far, view.low_pass
 
 
-def _splats_struct(splats: SurfelSplats, view: SurfelView) -> Splats:
+def _splats_struct(splats: SurfelSplats, view: SurfelView) -> SurfelSplatsStruct:
     camera = view.camera
     arrays = addresses(splats.means, splats.quats, splats.scales, splats.opacities, splats.colors)
     size = (camera.width, camera.height)
-    return Splats(splats.means.shape[0], *arrays, camera_struct(camera), *size, *_depths(view))
+    return SurfelSplatsStruct(splats.means.shape[0], *arrays, camera_struct(camera), *size, *_depths(view))

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
 from mgsr.native.cuda.params import Double, Float, Int, Long, Pointer, addresses, pointer, pointers
+from mgsr.native.structs import CompositedImage, ImageInBytes, WeightedDifference
 
 THREADS, GRADIENT_FLOATS = 256, 1024
 MOST_TERMS, MOST_IMAGES, MOST_PARTS = 24, 16, 4
@@ -40,7 +41,7 @@ class SilhouetteParams(ctypes.Structure):
     )
 
 
-class SquaresParams(ctypes.Structure):
+class SquaredDifferenceParams(ctypes.Structure):
     _fields_ = (
         ("count", Long),
         *pointers("a", "b", "first", "second"),
@@ -131,19 +132,10 @@ class TermKernels:
     def __init__(self, launcher: Launcher) -> None:
         self._launcher = launcher
 
-    def composite(
-        self,
-        image: Tensor,
-        mask: Tensor | None,
-        off_edge: Tensor | None,
-        background: Tensor | None,
-        color: Tensor,
-        alpha: Tensor | None,
-        weights: Tensor | None,
-    ) -> None:
-        """Write color [H,W,3], alpha [H,W] and weights [H,W] of a view in bytes."""
-        pixels = image.shape[0] * image.shape[1]
-        arrays = (image, mask, off_edge, background, color, alpha, weights)
+    def composite(self, photograph: ImageInBytes, background: Tensor | None, out: CompositedImage) -> None:
+        """Write a photograph on a background [3], None for black."""
+        pixels = photograph.image.shape[0] * photograph.image.shape[1]
+        arrays = (*photograph, background, *out)
         self._run("terms_target", pixels, TargetParams(pixels, *addresses(*arrays)))
 
     def covered(self, alpha: Tensor, mask: Tensor | None, covered: Tensor) -> None:
@@ -163,20 +155,16 @@ class TermKernels:
         self._run("terms_silhouette", count, SilhouetteParams(count, *inputs, pointer(v_alpha), pointer(partial)))
         return Sums(partial, count)
 
-    def squares(
-        self,
-        a: Tensor,
-        b: Tensor | None,
-        weights: tuple[Tensor | None, Tensor | None],
-        offset: float,
-        by: float,
-        divisor: Tensor | None,
-        differences: Tensor,
-    ) -> Sums:
-        """Return the sum of squares of (a - b) * weights - offset, over `by` and the divisor; arrays [...]."""
-        count, partial = a.numel(), _partial(a)
-        inputs = (pointer(a), pointer(b), *addresses(*weights), offset)
-        self._run("terms_squares", count, SquaresParams(count, *inputs, pointer(differences), pointer(partial)))
+    def squares(self, difference: WeightedDifference, by: float, divisor: Tensor | None, differences: Tensor) -> Sums:
+        """Return the sum of squares of a difference, over `by` and the divisor [].
+
+        differences [...]: where the difference itself is written.
+        """
+        count, partial = difference.a.numel(), _partial(difference.a)
+        inputs = (*addresses(*difference[:4]), difference.offset)
+        self._run(
+            "terms_squares", count, SquaredDifferenceParams(count, *inputs, pointer(differences), pointer(partial))
+        )
         return Sums(partial, by, divisor=divisor)
 
     def product(self, weight: Tensor, color: Tensor, v_weight: Tensor) -> Sums:
@@ -231,6 +219,7 @@ class TermKernels:
 
 
 def _partial(like: Tensor) -> Tensor:
+    """Return room for each block's sums [blocks,2] float64 of a tensor [...]."""
     return like.new_empty(-(-like.numel() // THREADS), 2, dtype=torch.float64)
 
 

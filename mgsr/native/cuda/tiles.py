@@ -228,6 +228,7 @@ def read_later(scalar: Tensor) -> Callable[[], int]:
 def _fill_lists(
     launcher: Launcher, projected: Projected, band: Band, rows: TileRows, tiles: int, ends: Tensor
 ) -> tuple[Tensor, Tensor]:
+    """Return a band's lists: each pair's splat [P] in order of tile and depth, and where each tile ends [T]."""
     order, pairs = projected.order, band.pairs
     splats = order.shape[0]
     # Short keys: the sort's time grows with their bits.

@@ -8,7 +8,7 @@ from mgsr.native import structs
 from mgsr.native.cuda.params import Float
 
 
-class Camera(ctypes.Structure):
+class CameraStruct(ctypes.Structure):
     """The struct Camera<float> of math/camera.h."""
 
     _fields_ = (
@@ -18,14 +18,14 @@ class Camera(ctypes.Structure):
     )
 
 
-def camera_struct(camera: structs.Camera) -> Camera:
+def camera_struct(camera: structs.PinholeCamera) -> CameraStruct:
     """Return a camera as the kernels' parameters take it."""
     (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = camera.cam_from_world.tolist()
     (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
-    return Camera((a, b, c, d, e, f, g, h, i), (x, y, z), fx, fy, cx, cy, camera.width, camera.height)
+    return CameraStruct((a, b, c, d, e, f, g, h, i), (x, y, z), fx, fy, cx, cy, camera.width, camera.height)
 
 
-def intrinsics(camera: structs.Camera) -> tuple[float, float, float, float]:
+def intrinsics(camera: structs.PinholeCamera) -> tuple[float, float, float, float]:
     """Return fx, fy, cx and cy in pixels."""
     (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
     return fx, fy, cx, cy

@@ -1,0 +1,114 @@
+"""Options of the check before training (`mgsr.inspection`).
+
+Pixels of matches are those of the reduced images in which features are found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from mgsr.config.options import Angle, Count, NotNegative, Options, Positive, Range, Share, WholeNumber
+
+
+@dataclass(frozen=True)
+class FeatureOptions(Options):
+    """The local features of photographs, and which photographs look alike."""
+
+    side: Annotated[int, Range(16)] = 512  # pixels; larger side of the image in which features are found
+    count: Annotated[int, Range(2)] = 800  # most features of a photograph, the strongest first
+    edge: WholeNumber = 4  # pixels from a silhouette or an invalid pixel, within which a feature depends on the
+    # background
+    words: Annotated[int, Range(2)] = 32  # of the vocabulary that describes whole photographs
+    sample: Count = 6000  # features from which the vocabulary is made
+    ratio: Share = 0.8  # largest ratio of the distances of the best and the second best match. Source: Lowe 2004
+
+
+@dataclass(frozen=True)
+class PairOptions(Options):
+    """The comparison of pairs of photographs with their cameras."""
+
+    nearest: WholeNumber = 4  # photographs that each is compared with, the nearest by camera
+    alike: WholeNumber = 5  # the same, those that look most alike, wherever they are
+    inlier: Positive = 1.5  # pixels from the epipolar line of the pair's own geometry
+    min_matches: Count = 24  # in one geometry, below which a pair is no evidence; by chance there are about 10
+    explained: Share = 0.6  # share of the matches on the cameras' epipolar lines that needs no other explanation
+    off: Positive = 4.0  # pixels from the cameras' epipolar line beyond which a match contradicts them
+
+
+@dataclass(frozen=True)
+class VerdictOptions(Options):
+    """The verdicts on pairs. A limit is the larger of its pixels and its multiple of the capture's usual residual.
+
+    Phones report less accurate cameras than structure from motion, and these are not contradictory.
+    """
+
+    agrees: Positive = 1.5  # pixels; median residual below which a pair agrees with its cameras
+    agrees_usual: NotNegative = 3.0  # the same, times the usual residual
+    contradicts: Positive = 5.0  # pixels; median residual above which a pair contradicts its cameras
+    contradicts_usual: NotNegative = 8.0  # the same, times the usual residual
+    meets: Positive = 2.0  # pixels by which the rays of three photographs may miss each other
+    meets_usual: NotNegative = 4.0  # the same, times the usual residual
+    max_usual: NotNegative = 4.0  # pixels; largest usual residual that counts
+    min_shared: Count = 8  # points of three photographs, with fewer of which they are no evidence
+
+
+@dataclass(frozen=True)
+class PoseCheckOptions(Options):
+    """The search for poses that contradict the photographs."""
+
+    cluster: Annotated[int, Range(2)] = 3  # photographs of a cluster that has a copy of the structure to itself
+    min_contradictions: Count = 2  # pairs that must contradict a photograph or a cluster
+    accused: Share = 0.5  # share of a cluster that must be in such pairs; a part that repeats elsewhere puts few there
+    majority: Share = 0.5  # share of the decided photographs that the largest group must have to accuse others
+    many: Share = 0.1  # share of the photographs with contradictory poses above which the finding is an error
+    inaccurate: NotNegative = 1.5  # pixels; usual residual above which poses are called inaccurate
+    repeated: NotNegative = 0.15  # pairs that contradict, in proportion to those that agree, inside one group
+    connected: Share = 0.8  # share of the photographs with many features that one group should have
+    moving: Share = 0.15  # share of the matches that follow another motion, in the mean of the pairs
+
+
+@dataclass(frozen=True)
+class CoverageOptions(Options):
+    """The check of the cameras' places around the object."""
+
+    seen: Angle = 50.0  # degrees between a side of the object and a camera, beyond which the view is grazing at best
+    underside: Share = 0.35  # sine of the angle below the horizon beyond which a side belongs to the underside
+    min_gap: Share = 0.03  # share of the sphere, without the underside
+    directions: Count = 1500  # in which sides are tested
+    max_places: Count = 6  # for further photographs that a finding names
+    error_angle: Angle = 4.0  # degrees between the two cameras that stand farthest apart, below which it is an error
+    small_angle: Angle = 12.0  # the same, below which it is a warning
+
+
+@dataclass(frozen=True)
+class PhotoCheckOptions(Options):
+    """The check of single photographs, their masks and their lenses."""
+
+    jumps: NotNegative = 0.05  # spread of log light above chance
+    outlier: Annotated[float, Range(1)] = 2.0  # factor against the neighbours' light beyond which highlights or shadows
+    # are lost
+    small_share: Share = 0.2  # diameter of a small object, as a share of the image's shorter side
+    small_pixels: NotNegative = 100.0  # the same in pixels
+    cut_off: Share = 0.5  # share of the photographs that cut the object off, above which a finding says so
+    left_out: Share = 0.3  # share of the object, as the other masks have it, that a mask may leave out; few views give
+    # up to 0.24
+    contour_side: Annotated[int, Range(16)] = 200  # pixels at which masks are compared
+    focal: NotNegative = 0.1  # relative difference of focal lengths above which lenses differ
+    wide: Angle = 100.0  # degrees across the image above which a lens is wide
+    small_side: NotNegative = 480.0  # pixels of the longer side below which images are small
+
+
+@dataclass(frozen=True)
+class InspectionConfig(Options):
+    """The check before training."""
+
+    photographs: Annotated[int, Range(2)] = 300  # whose features are compared, spread over all
+    track: Annotated[int, Range(2)] = 3  # least number of photographs of a point
+    min_points: Count = 50  # with fewer, their median does not tell where the object is
+    features: FeatureOptions = field(default_factory=FeatureOptions)
+    pairs: PairOptions = field(default_factory=PairOptions)
+    verdicts: VerdictOptions = field(default_factory=VerdictOptions)
+    poses: PoseCheckOptions = field(default_factory=PoseCheckOptions)
+    coverage: CoverageOptions = field(default_factory=CoverageOptions)
+    photos: PhotoCheckOptions = field(default_factory=PhotoCheckOptions)

@@ -18,6 +18,7 @@ from service.contract.live import Live
 from service.contract.options import LIBRARY
 from service.contract.queue import JobQueue, connect
 from service.contract.recovery import PERIOD, Recovery
+from service.contract.resumable import ResumableUploads
 from service.contract.settings import Settings
 from service.contract.store import Store
 from service.events import EventHub
@@ -28,7 +29,7 @@ from service.openapi import describe
 from service.parts import Parts
 from service.polls import Polls
 from service.problems import install
-from service.routes import artifacts, health, jobs, options, page, webhooks
+from service.routes import artifacts, health, jobs, options, page, uploads, webhooks
 from service.snapshots import Snapshots
 
 log = logging.getLogger("mgsr.service")
@@ -51,8 +52,8 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.parts = parts
     install(app)
-    for routes in (jobs.router, artifacts.router, options.router, webhooks.router, health.router, page.router):
-        app.include_router(routes)
+    for routes in (jobs, uploads, artifacts, options, webhooks, health, page):
+        app.include_router(routes.router)
     # The last is asked first: the guard, the count, the polls, the routes.
     polled = next(route for route in jobs.router.routes if getattr(route, "endpoint", None) is jobs.get_job)
     app.add_middleware(Polls, keys=parts.keys, snapshots=parts.snapshots, route=polled)
@@ -72,6 +73,7 @@ def _make_parts(settings: Settings) -> Parts:
     return Parts(
         settings=settings,
         jobs=jobs,
+        uploads=ResumableUploads(store, settings.upload_lifetime),
         keys=Keys(store),
         live=Live(redis),
         queue=queue,

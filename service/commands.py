@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -102,13 +101,13 @@ def rerun(
         from service.contract.options import parse_setting
 
         try:
-            changes: dict[str, object] = {} if preset is None else {"preset": preset}
+            changes: dict[str, Any] = {} if preset is None else {"preset": preset}
             if settings:
                 changes["settings"] = dict(parse_setting(text) for text in settings)
         except ValueError as error:
             raise SetupError(str(error)) from error
         folder = (out or Path("out") / job) if wait else None
-        raise typer.Exit(rerun_job(server, os.environ.get("MGSR_KEY"), job, json.dumps(changes), folder))
+        raise typer.Exit(rerun_job(server, os.environ.get("MGSR_KEY"), job, changes, folder))
 
 
 def fetch(

@@ -87,7 +87,7 @@ class Rounds:
             for attempt in self.retrying_jobs.attempts(record.id):
                 self.retrying_jobs.store.delete(attempt_path(record.id, attempt, "checkpoint"))
         elif outcome.error is not None and outcome.error.code in FINAL_CODES:
-            self.retrying_jobs.store.delete(record.archive)
+            self.retrying_jobs.archives.delete(record.archive)
 
     def _tell(self, job: str, data: dict[str, Any]) -> None:
         try:

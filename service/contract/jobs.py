@@ -10,20 +10,19 @@ jobs/<id>/attempts/<n>/end          that this attempt ended in good order, if wi
 open/<id>.<r>                       that round r may have no outcome yet
 webhooks/<id>.<r>                   that the owner is still to be told of the outcome of round r
 owners/<owner>/<time>.<id>          each owner's jobs; the time runs backwards, so the newest sort first
-uploads/<id>.<upload>               archives
+uploads/<id>.<upload>               archives (archives.py)
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from service.contract.archives import Archives
 from service.contract.records import AttemptStart, JobRecord, JobStatus, Outcome, now
+from service.contract.resumable import archives_on_the_way
 from service.contract.store import Store
 
-# An upload that no job names after so many seconds was cut off together with its service.
-STALE_UPLOAD = 6 * 3600.0
 _END_OF_TIME = 10**13
 # Results that a rerun takes over, files and folders: found cameras, the object's masks, and its background. The worker
 # puts them into the new job's results before it begins.
@@ -46,7 +45,7 @@ class Jobs:
     """The jobs of one store."""
 
     def __init__(self, store: Store) -> None:
-        self.store = store
+        self.store, self.archives = store, Archives(store)
 
     def create(self, record: JobRecord) -> JobRecord:
         """File a new job; return the job on file, which is the earlier one if the id exists."""
@@ -178,7 +177,7 @@ class Jobs:
         First what is large, so that asking again ends a removal that was cut off; then the job itself. Its outcomes
         come last, as without them it would count as open.
         """
-        self.store.delete(record.archive)
+        self.archives.delete(record.archive)
         self.store.delete_all(_path(record.id, "attempts"))
         for job, number in self.untold_rounds():
             if job == record.id:
@@ -192,25 +191,19 @@ class Jobs:
         return [name.partition(".")[2] for name in sorted(self.store.names(f"owners/{owner}"))]
 
     def sweep_uploads(self) -> None:
-        """Remove archives that no job names, whole or not, left by services that were killed during an upload."""
-        self.store.delete_unfinished("uploads", STALE_UPLOAD)
-        for entry in self.store.entries("uploads"):
-            job = entry.key.removeprefix("uploads/").partition(".")[0]
-            if time.time() - entry.modified.timestamp() < STALE_UPLOAD:
-                continue
-            record = self.record(job)
-            if record is None or record.archive != entry.key:
-                self.store.delete(entry.key)
+        """Remove stale archives that no job names, left by services that were killed during an upload."""
+        arriving = archives_on_the_way(self.store)
+
+        def wanted(archive: str) -> bool:
+            record = self.record(archive.partition("/")[2].partition(".")[0])
+            return archive in arriving or (record is not None and record.archive == archive)
+
+        self.archives.sweep(wanted)
 
 
 def attempt_path(job: str, attempt: int, name: str) -> str:
     """Return the key of an attempt's file."""
     return _path(job, f"attempts/{attempt}/{name}")
-
-
-def upload_path(job: str, upload: str) -> str:
-    """Return the key of an archive."""
-    return f"uploads/{job}.{upload}"
 
 
 def _index_path(record: JobRecord) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, suppress
@@ -14,49 +13,10 @@ from pathlib import Path
 import httpx
 import pytest
 
+from tests.service.hostile import Gate
 from tests.service.stack import LONG_OPTIONS, TINY, TINY_OPTIONS, Stack, free_port
 
 AWAY = 20.0
-
-
-class Gate:
-    """A port that forwards connections while it is open, and refuses and cuts them while it is closed."""
-
-    def __init__(self, target: int) -> None:
-        self.target, self.port = target, free_port()
-        self.listener: socket.socket | None = None
-        self.connections: set[socket.socket] = set()
-
-    def open(self) -> None:
-        """Let connections through."""
-        self.listener = socket.create_server(("127.0.0.1", self.port), backlog=100)
-        threading.Thread(target=self._accept, args=(self.listener,), daemon=True).start()
-
-    def close(self) -> None:
-        """Let nothing through any more."""
-        assert self.listener is not None
-        self.listener.shutdown(socket.SHUT_RDWR)
-        self.listener.close()
-        for connection in list(self.connections):
-            with suppress(OSError):
-                connection.shutdown(socket.SHUT_RDWR)
-
-    def _accept(self, listener: socket.socket) -> None:
-        with suppress(OSError):
-            while True:
-                outer, _ = listener.accept()
-                inner = socket.create_connection(("127.0.0.1", self.target))
-                self.connections |= {outer, inner}
-                for source, sink in ((outer, inner), (inner, outer)):
-                    threading.Thread(target=self._pump, args=(source, sink), daemon=True).start()
-
-    def _pump(self, source: socket.socket, sink: socket.socket) -> None:
-        with suppress(OSError):
-            while data := source.recv(1 << 16):
-                sink.sendall(data)
-        with suppress(OSError):
-            sink.shutdown(socket.SHUT_RDWR)
-        self.connections.discard(source)
 
 
 @pytest.fixture

@@ -47,6 +47,12 @@ export class Service extends EventTarget {
     return this.json(`/jobs?limit=${limit}`);
   }
 
+  /** Make a job of a complete upload, which has the job's options; the same job again if it has one. */
+  async submitUpload(url: string): Promise<Job> {
+    const answer = await this.request(`${new URL(url, location.href).pathname}/job`, { method: "POST" });
+    return (await answer.json()) as Job;
+  }
+
   async cancel(job: string): Promise<void> {
     await this.request(`/jobs/${job}`, { method: "DELETE" });
   }

@@ -50,18 +50,21 @@ def check_webhook(options: JobOptions, parts: Parts) -> None:
 
 
 async def check_room(length: int, owner: str, parts: Parts) -> None:
-    """Raise Problem where the disk has no space for `length` bytes, or too many of the owner's jobs wait.
-
-    Unfinished uploads count as jobs.
-    """
-    settings, folder = parts.settings, parts.jobs.store.folder
-    if folder is not None and shutil.disk_usage(folder).free < length + settings.min_free_disk:
+    """Raise Problem where `length` bytes more fill the disk, or exceed a limit of the owner."""
+    folder = parts.jobs.store.folder
+    if folder is not None and shutil.disk_usage(folder).free < length + parts.settings.min_free_disk:
         raise Problem(
             507,
             "disk_full",
             "the disk of the service has no space for this upload; delete jobs (DELETE /jobs/{id}/data) or add space",
         )
-    opened = await run_in_threadpool(_open_of, parts, owner)
+    await run_in_threadpool(_check_limits, length, owner, parts)
+
+
+def _check_limits(length: int, owner: str, parts: Parts) -> None:
+    """Raise Problem where the owner has too many open jobs, or would store too much. Uploads count as jobs."""
+    settings, arriving = parts.settings, parts.uploads.owned(owner)
+    opened = parts.jobs.open_of(owner) + len(arriving)
     if opened >= settings.max_open_jobs:
         raise Problem(
             429,
@@ -69,6 +72,16 @@ async def check_room(length: int, owner: str, parts: Parts) -> None:
             f"{opened} of your jobs are queued, running or being uploaded, but the limit is {settings.max_open_jobs}; "
             "wait until one ends",
             {"Retry-After": "60"},
+        )
+    if settings.max_stored is None:
+        return
+    stored = parts.jobs.stored_of(owner) + sum(record.size for record in arriving)
+    if stored + length > settings.max_stored:
+        raise Problem(
+            413,
+            "storage_full",
+            f"your jobs and uploads take {stored} bytes, and this one adds {length}, but the limit is "
+            f"{int(settings.max_stored)}; delete jobs (DELETE /jobs/{{id}}/data)",
         )
 
 
@@ -105,7 +118,3 @@ async def answer(parts: Parts, job: str, status: int, headers: dict[str, str]) -
     assert snapshot is not None
     body = snapshot.view.model_dump(mode="json")
     return JSONResponse(body, status, {"Location": f"/jobs/{job}", **headers})
-
-
-def _open_of(parts: Parts, owner: str) -> int:
-    return parts.jobs.open_of(owner) + len(parts.uploads.owned(owner))

@@ -63,7 +63,8 @@ class WorkerContext:
     """What an attempt needs of its worker.
 
     retrying_jobs: jobs in a store client that waits while the store doesn't answer. jobs: in one that gives up soon.
-    stopping: tells whether the worker is to end. beat: reports that the worker lives.
+    stopping: tells whether the worker is to end. beat: reports that the worker lives. step: told
+    of each step that begins.
     """
 
     settings: Settings
@@ -72,6 +73,7 @@ class WorkerContext:
     live: Live
     stopping: Callable[[], bool]
     beat: Callable[[], None]
+    step: Callable[[str], None]
 
 
 class Attempt:
@@ -226,6 +228,8 @@ class Attempt:
 
     def _progress(self, **change: Any) -> None:
         """Report progress to listeners. If Redis is away, the next report makes up for it."""
+        if "step" in change:
+            self._context.step(change["step"])
         change |= {"status": JobStatus.RUNNING}
         self._known |= change | {"round": self._number, "attempt": self._attempt}
         whole = self._known | {"curve": joined(self._earlier_curve, self._known.get("curve", []))}

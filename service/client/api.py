@@ -64,7 +64,7 @@ class DamagedDownload(Exception):
 class Client:
     """One service. Use in `with`. Methods raise ServiceRefusal, and httpx.HTTPError where nobody answers for long."""
 
-    def __init__(self, server: str, key: str | None) -> None:
+    def __init__(self, server: str, key: str | None = None) -> None:
         headers = {} if key is None else {"Authorization": f"Bearer {key}"}
         self._http = httpx.Client(base_url=server.rstrip("/"), headers=headers, timeout=60.0, follow_redirects=False)
 
@@ -74,6 +74,10 @@ class Client:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connections."""
         self._http.close()
 
     def check(self) -> None:
@@ -152,6 +156,12 @@ class Client:
     def job(self, job: str) -> Job:
         """Return the job's current state."""
         state: Job = _again(lambda: self._http.get(f"/jobs/{job}")).json()
+        return state
+
+    def pin(self, job: str, pinned: bool = True) -> Job:
+        """Keep a job beyond the service's retention, or no longer."""
+        method = "PUT" if pinned else "DELETE"
+        state: Job = _again(lambda: self._http.request(method, f"/jobs/{job}/pin")).json()
         return state
 
     def cancel(self, job: str) -> Job:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,27 @@ def rerun_job(server: str, key: str | None, job: str, options: dict[str, Any], o
 
     def talk(client: Client, console: Console) -> int:
         return _sent(client.rerun(job, options), client, server, out, console)
+
+    return _talk(server, key, talk)
+
+
+def list_jobs(server: str, key: str | None, limit: int) -> int:
+    """Print the newest jobs, one a line, and return the program's exit code. Raises SetupError."""
+
+    def talk(client: Client, console: Console) -> int:
+        for job in client.jobs(limit):
+            console.print(_job_line(job), soft_wrap=True, markup=False)
+        return 0
+
+    return _talk(server, key, talk)
+
+
+def pin_job(server: str, key: str | None, job: str, pinned: bool) -> int:
+    """Pin or unpin a job, print it, and return the program's exit code. Raises SetupError."""
+
+    def talk(client: Client, console: Console) -> int:
+        console.print(_job_line(client.pin(job, pinned)), soft_wrap=True, markup=False)
+        return 0
 
     return _talk(server, key, talk)
 
@@ -105,6 +127,14 @@ def _wait(client: Client, job: str, out: Path, console: Console) -> int:
                 said = line
                 console.print(line)
     return _fetch(client, now, out, console)
+
+
+def _job_line(job: Job) -> str:
+    stays = "pinned" if job["pinned"] else ""
+    if job["expires"] is not None:
+        stays = f"goes {datetime.fromisoformat(job['expires']).astimezone():%Y-%m-%d %H:%M}"
+    parts = (job["id"], f"{job['status']:9}", job["created"][:16].replace("T", " "), stays, job["name"] or "")
+    return "  ".join(part for part in parts if part)
 
 
 def _finding_line(finding: dict[str, Any]) -> str:

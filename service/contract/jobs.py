@@ -2,11 +2,13 @@
 
 jobs/<id>/job.json                  what was asked for
 jobs/<id>/rounds/<r>                that round r was asked for (0, the submit, needs no mark; then the retries)
+jobs/<id>/pinned                    that the job stays, however long ago it ended
 jobs/<id>/cancels/<r>               that someone wants round r to stop
 jobs/<id>/outcomes/<r>.json         how round r ended; the first to write it wins
 jobs/<id>/attempts/<n>/start.json   a worker took up a round; beside it what it has made
 jobs/<id>/attempts/0/...            of a rerun: what it takes over from the earlier job's results
 jobs/<id>/attempts/<n>/end          that this attempt ended in good order, if without an outcome
+
 open/<id>.<r>                       that round r may have no outcome yet
 webhooks/<id>.<r>                   that the owner is still to be told of the outcome of round r
 owners/<owner>/<time>.<id>          each owner's jobs; the time runs backwards, so the newest sort first
@@ -15,8 +17,10 @@ uploads/<id>.<upload>               archives (archives.py)
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import datetime
 
 from service.contract.archives import Archives
 from service.contract.records import AttemptStart, JobRecord, JobStatus, Outcome, now
@@ -39,6 +43,7 @@ class JobState:
     round: int
     outcome: Outcome | None
     cancelling: bool
+    pinned: bool
 
 
 class Jobs:
@@ -70,7 +75,8 @@ class Jobs:
             return None
         last = self.last_round(job)
         outcome = self.outcome(job, last)
-        return JobState(record, last, outcome, outcome is None and self.cancel_asked(job, last))
+        cancelling = outcome is None and self.cancel_asked(job, last)
+        return JobState(record, last, outcome, cancelling, self.store.read(_path(job, "pinned")) is not None)
 
     def last_round(self, job: str) -> int:
         """Return the number of the last round that was asked for."""
@@ -115,6 +121,13 @@ class Jobs:
     def cancel_now(self, job: str, number: int) -> bool:
         """End a round that nobody works on as cancelled; return whether it was still open."""
         return self.finish(job, number, Outcome(status=JobStatus.CANCELLED, attempt=None, finished=now()))
+
+    def pin(self, job: str, pinned: bool) -> None:
+        """Note whether a job stays, however long ago it ended."""
+        if pinned:
+            self.store.replace(_path(job, "pinned"), b"")
+        else:
+            self.store.delete(_path(job, "pinned"))
 
     def begin_attempt(self, job: str, number: int, worker: str) -> int:
         """Claim the next attempt of a job for a worker, and return its number, from 1."""
@@ -190,12 +203,25 @@ class Jobs:
         """Return the ids of an owner's jobs, the newest first."""
         return [name.partition(".")[2] for name in sorted(self.store.names(f"owners/{owner}"))]
 
+    def created_before(self, time: datetime) -> list[str]:
+        """Return the ids of all jobs that were submitted before a time."""
+        first = _order(time)
+        names = (name.rpartition("/")[2].partition(".") for name in self.store.names("owners"))
+        return [job for order, _, job in names if order > first]
+
+    def stored_of(self, owner: str) -> int:
+        """Return the bytes that an owner's jobs take: archives, results and checkpoints."""
+        owned = set(self.owned(owner))
+        archives = (entry for entry in self.store.entries("uploads") if _job_of_archive(entry.key) in owned)
+        files = (entry for entry in self.store.entries("jobs") if entry.key.split("/")[1] in owned)
+        return sum(entry.size for entry in itertools.chain(archives, files))
+
     def sweep_uploads(self) -> None:
         """Remove stale archives that no job names, left by services that were killed during an upload."""
         arriving = archives_on_the_way(self.store)
 
         def wanted(archive: str) -> bool:
-            record = self.record(archive.partition("/")[2].partition(".")[0])
+            record = self.record(_job_of_archive(archive))
             return archive in arriving or (record is not None and record.archive == archive)
 
         self.archives.sweep(wanted)
@@ -206,9 +232,17 @@ def attempt_path(job: str, attempt: int, name: str) -> str:
     return _path(job, f"attempts/{attempt}/{name}")
 
 
+def _job_of_archive(key: str) -> str:
+    return key.split("/")[1].partition(".")[0]
+
+
 def _index_path(record: JobRecord) -> str:
-    order = _END_OF_TIME - round(record.created.timestamp() * 1000)
-    return f"owners/{record.owner}/{order:013d}.{record.id}"
+    return f"owners/{record.owner}/{_order(record.created)}.{record.id}"
+
+
+def _order(time: datetime) -> str:
+    """Return a text that sorts later times first."""
+    return f"{_END_OF_TIME - round(time.timestamp() * 1000):013d}"
 
 
 def _path(job: str, name: str) -> str:

@@ -14,10 +14,12 @@ from service.contract.archives import archive_path
 from service.contract.jobs import FOUND_CAMERAS, FOUND_OBJECT
 from service.contract.options import JobOptions
 from service.contract.records import JobRecord, JobStatus, new_id, now
+from service.contract.telemetry import current_traceparent
 from service.events import EVENT_ID
 from service.parts import OwnerDep, Parts, PartsDep, SnapshotDep
 from service.polls import poll_answer
 from service.problems import Problem, answers
+from service.snapshots import Snapshot
 from service.submissions import (
     LOCATION,
     DryRunQuery,
@@ -207,10 +209,12 @@ async def retry(snapshot: SnapshotDep, parts: PartsDep) -> Response:
     "/{job_id}/rerun",
     response_model=JobView,
     status_code=202,
-    responses={202: {"description": "The new job, queued.", "headers": LOCATION}, **answers(404, 410, 422, 429, 507)},
+    responses={
+        202: {"description": "The new job, queued.", "headers": LOCATION},
+        **answers(404, 410, 413, 422, 429, 507),
+    },
 )
 async def rerun(
-    request: Request,
     snapshot: SnapshotDep,
     owner: OwnerDep,
     parts: PartsDep,
@@ -221,7 +225,7 @@ async def rerun(
     source = snapshot.state.record
     asked = _changed_options(source.options, options)
     check_webhook(asked, parts)
-    await _check_request_room(request, owner, parts)
+    await check_room(source.archive_bytes, owner, parts)
     record = _rerun_record(_job_id(owner, idempotency_key), source, asked)
     try:
         kept = await run_in_threadpool(_file_rerun, parts, source, record)
@@ -237,13 +241,25 @@ async def rerun(
     responses={204: {"description": "The job and its files are deleted."}, **answers(404, 409, 422)},
 )
 async def remove(snapshot: SnapshotDep, parts: PartsDep) -> None:
-    """Remove a job that has ended, with its archive and results. The service removes nothing by itself."""
+    """Remove a job that has ended, with its archive and results."""
     job = snapshot.state.record.id
     state = await run_in_threadpool(parts.jobs.state, job)
     if state is not None and state.outcome is None:
         raise Problem(409, "job_open", f"job {job} is queued or running; cancel it first (DELETE /jobs/{job})")
     await run_in_threadpool(_remove, parts, snapshot.state.record)
     parts.snapshots.forget(job)
+
+
+@router.put("/{job_id}/pin", response_model=JobView, responses=answers(404, 422))
+async def pin(snapshot: SnapshotDep, parts: PartsDep) -> Response:
+    """Keep a job, however long ago it ended, until it is unpinned or removed."""
+    return await _set_pin(snapshot, parts, True)
+
+
+@router.delete("/{job_id}/pin", response_model=JobView, responses=answers(404, 422))
+async def unpin(snapshot: SnapshotDep, parts: PartsDep) -> Response:
+    """Let a job go after its retention, like others."""
+    return await _set_pin(snapshot, parts, False)
 
 
 @router.get(
@@ -269,6 +285,12 @@ async def events(
         media_type="text/event-stream",
         headers={"Cache-Control": "no-cache", "X-Accel-Buffering": "no"},
     )
+
+
+async def _set_pin(snapshot: Snapshot, parts: Parts, pinned: bool) -> Response:
+    job = snapshot.state.record.id
+    await run_in_threadpool(parts.jobs.pin, job, pinned)
+    return await answer(parts, job, 200, {})
 
 
 def _changed_options(earlier: JobOptions, text: str | None) -> JobOptions:
@@ -310,12 +332,14 @@ def _record(job: str, owner: str, options: JobOptions, archive: str, received: R
         archive=archive,
         archive_bytes=received.size,
         payload_sha256=payload,
+        traceparent=current_traceparent(),
     )
 
 
 def _rerun_record(job: str, source: JobRecord, options: JobOptions) -> JobRecord:
     payload = hashlib.sha256(f"rerun {source.id}\0{options.model_dump_json()}".encode()).hexdigest()
     changes = {"id": job, "created": now(), "options": options, "payload_sha256": payload, "rerun_of": source.id}
+    changes["traceparent"] = current_traceparent()
     return source.model_copy(update=changes | {"archive": archive_path(job, new_id())})
 
 

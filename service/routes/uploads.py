@@ -20,6 +20,7 @@ from service.appends import CHECKSUM_MISMATCH, CHECKSUMS, Checksum, append, too_
 from service.contract.options import JobOptions
 from service.contract.records import JobRecord, now
 from service.contract.resumable import UploadRecord, UploadState, job_of
+from service.contract.telemetry import current_traceparent
 from service.parts import OwnerDep, PartsDep
 from service.problems import Problem, answers
 from service.submissions import (
@@ -244,6 +245,7 @@ def _record(upload: UploadRecord, options: JobOptions) -> JobRecord:
         options=options,
         archive=upload.archive,
         archive_bytes=upload.size,
+        traceparent=current_traceparent(),
         payload_sha256=hashlib.sha256(f"upload {upload.id}\0{options.model_dump_json()}".encode()).hexdigest(),
     )
 

@@ -68,6 +68,11 @@ export class Service extends EventTarget {
     return ((await answer.json()) as Job).id;
   }
 
+  /** Keep a job beyond the service's retention, or no longer. */
+  async pin(job: string, pinned: boolean): Promise<Job> {
+    return (await this.request(`/jobs/${job}/pin`, { method: pinned ? "PUT" : "DELETE" })).json() as Promise<Job>;
+  }
+
   async remove(job: string): Promise<void> {
     await this.request(`/jobs/${job}/data`, { method: "DELETE" });
   }

@@ -2,7 +2,7 @@
 
 import { Problem, Unreachable } from "../api/problem";
 import type { Job } from "../api/types";
-import { percent, timeLeft } from "./format";
+import { moment, percent, timeLeft } from "./format";
 
 const STATUS: Record<string, string> = {
   queued: "Waiting",
@@ -109,6 +109,7 @@ const TROUBLES: Record<string, string> = {
   tus_version: "The service expects another version of this page. Reload it.",
   upload_cut: "The connection broke during the upload. Send it again.",
   queue_full: "You have reached the limit of open jobs. Wait until one ends.",
+  storage_full: "Your jobs would take more space than you have. Delete old ones.",
   disk_full: "The disk is full. Delete old jobs, or ask the administrator of the service.",
   store_unavailable: "The service cannot reach its storage. Try again soon.",
   queue_unavailable: "The service cannot reach its queue. Try again soon.",
@@ -146,6 +147,12 @@ export function remaining(job: Job, waited: number): string {
   if (job.eta_seconds !== null) return timeLeft(Math.max(0, job.eta_seconds - waited));
   if (job.step_eta_seconds === null) return "";
   return `for this step: ${timeLeft(Math.max(0, job.step_eta_seconds - waited))}`;
+}
+
+/** How long a job is kept; empty where nothing limits it. */
+export function stayWord(job: Job): string {
+  if (job.pinned) return "kept";
+  return job.expires === null ? "" : `will be deleted ${moment(job.expires)}`;
 }
 
 function queueWord(position: number | null): string {

@@ -13,7 +13,7 @@ import os
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
@@ -115,6 +115,17 @@ class Client:
         metadata = f"options {base64.b64encode(options.encode()).decode()}"
         headers = _TUS | {"Upload-Length": str(counter.total), "Upload-Metadata": metadata}
         address = _again(lambda: self._http.post("/uploads", headers=headers)).headers["Location"]
+        try:
+            self._send_parts(address, archive, counter)
+        except BaseException:
+            with suppress(httpx.HTTPError):  # then the service deletes it later
+                self._http.delete(address, headers=_TUS, timeout=5.0)
+            raise
+        created: Job = _again(lambda: self._http.post(f"{address}/job")).json()
+        return created
+
+    def _send_parts(self, address: str, archive: Path, counter: _Counter) -> None:
+        """Send an archive to an upload, from where the service has it after each break."""
         arrived = failures = 0
         while arrived < counter.total:
             try:
@@ -128,8 +139,6 @@ class Client:
                 head = _again(lambda: self._http.head(address, headers=_TUS))
                 known, arrived = arrived, int(head.headers["Upload-Offset"])
                 failures = 0 if arrived > known else failures
-        created: Job = _again(lambda: self._http.post(f"{address}/job")).json()
-        return created
 
     def _append(self, address: str, archive: Path, begin: int, counter: _Counter) -> httpx.Response:
         """Send the next bytes of an upload."""

@@ -19,7 +19,7 @@ import pytest
 from tusclient import client as tuspy
 from tusclient.exceptions import TusCommunicationError
 
-from service.client.api import Client
+from service.client import Client, ServiceRefusal
 from service.contract.archives import Archives
 from service.contract.jobs import Jobs
 from service.contract.resumable import ResumableUploads
@@ -189,12 +189,12 @@ def test_a_checksum_that_differs_drops_the_bytes(idle: Stack) -> None:
 
 
 def test_an_upload_expires(tmp_path: Path) -> None:
-    with Stack(tmp_path, workers=0, MGSR_UPLOAD_LIFETIME="1.5") as stack:
+    with Stack(tmp_path, workers=0, MGSR_UPLOAD_LIFETIME="3") as stack:
         address = begin(stack, 1000)
         assert append(stack, address, 0, b"PK" + bytes(98)).status_code == 204
-        time.sleep(2.0)
+        time.sleep(3.2)
         assert "begin a new one" in refused(append(stack, address, 100, bytes(10)), 410, "upload_expired")
-        uploads = ResumableUploads(Store(str(tmp_path / "store"), 1.0), 1.5)
+        uploads = ResumableUploads(Store(str(tmp_path / "store"), 1.0), 3.0)
         younger = begin(stack, 1000)
         uploads.sweep()
         refused(append(stack, address, 100, bytes(10)), 404, "upload_unknown")
@@ -261,6 +261,16 @@ def test_our_client_goes_on_over_a_connection_that_breaks_three_times(
     assert stored(idle, job["id"], tmp_path / "archive") == archive
     again = sum(max(0, later - earlier) for earlier, later in itertools.pairwise(told)) - len(archive)
     assert again < 30 << 20, "more was sent again than the sockets hold; 55 MiB would be all"
+
+
+def test_what_our_client_gives_up_is_deleted(idle: Stack, tmp_path: Path) -> None:
+    """Check that a refused archive does not count as an open job until it expires."""
+    (tmp_path / "scene.zip").write_bytes(bytes(33 << 20))
+    with Client(idle.url) as client, pytest.raises(ServiceRefusal) as refusal:
+        client.submit(tmp_path / "scene.zip", {})
+    assert refusal.value.code == "archive_unsupported"
+    records = [path.read_text() for path in (idle.folder / "store/resumable").rglob("*.json")]
+    assert not [record for record in records if str(33 << 20) in record]
 
 
 def test_parts_are_joined_without_gaps(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import socket
 import subprocess
 import sys
@@ -13,8 +14,11 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.service.hostile import Gate
+from service.contract.jobs import Jobs
+from service.contract.store import Store
+from tests.service.hostile import Gate, RawRequest
 from tests.service.stack import LONG_OPTIONS, TINY, TINY_OPTIONS, Stack, free_port
+from tests.worker.archives import zip_of
 
 AWAY = 20.0
 
@@ -80,6 +84,40 @@ def test_results_come_from_the_bucket_itself(
         stack.wait_until_ready(1)
         part = stack.http.get(f"/jobs/{job}/mesh.ply", headers={"Range": "bytes=0-2"})
         assert (part.status_code, part.content) == (206, b"ply")
+
+
+@pytest.mark.slow
+def test_a_resumable_upload_lies_in_the_bucket_as_parts(
+    bucket: tuple[dict[str, str], Gate], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cut the connection once; the bucket keeps what had arrived, copies it for a rerun, and deletes it."""
+    for name, value in bucket[0].items():
+        monkeypatch.setenv(name, value)
+    data = zip_of(("noise.bin", random.Random(1).randbytes(14 << 20)), packed=False)
+    jobs = Jobs(Store(bucket[0]["MGSR_STORE"], 5.0))
+    with Stack(tmp_path, 0, **bucket[0]) as stack:
+        tus = {"Tus-Resumable": "1.0.0"}
+        created = stack.http.post("/uploads", headers=tus | {"Upload-Length": str(len(data))})
+        address, kind = created.headers["Location"], "Content-Type: application/offset+octet-stream"
+        headers = (kind, "Tus-Resumable: 1.0.0", "Upload-Offset: 0", f"Content-Length: {len(data)}")
+        with RawRequest(stack.port, *headers, path=address, method="PATCH") as request:
+            request.send(data[: 11 << 20])
+        offset = 0
+        while offset == 0:
+            time.sleep(0.1)
+            offset = int(stack.http.head(address, headers=tus).headers["Upload-Offset"])
+        assert offset == 11 << 20
+        rest = tus | {"Upload-Offset": str(offset), "Content-Type": "application/offset+octet-stream"}
+        assert stack.http.patch(address, headers=rest, content=data[offset:]).status_code == 204
+        first = stack.http.post(f"{address}/job").json()["id"]
+        second = stack.http.post(f"/jobs/{first}/rerun").json()["id"]
+        stack.http.delete(f"/jobs/{first}")
+        assert stack.http.delete(f"/jobs/{first}/data").status_code == 204
+        (record,) = [found for job in (first, second) if (found := jobs.record(job)) is not None]
+    jobs.archives.download(record.archive, tmp_path / "archive")
+    assert (tmp_path / "archive").read_bytes() == data and len(jobs.archives.parts(record.archive)) == 2
+    jobs.archives.delete(record.archive)
+    assert jobs.store.names("uploads") == []
 
 
 @pytest.mark.slow

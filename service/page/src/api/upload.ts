@@ -50,7 +50,11 @@ export class Upload {
         onProgress: progress,
         onShouldRetry: (error) => this.mayPass(error),
         onSuccess: () => resolve(),
-        onError: (error) => reject(this.understood(error)),
+        onError: (error) => {
+          const understood = this.understood(error);
+          if (understood instanceof Problem && understood.status !== 401) this.giveUp();
+          reject(understood);
+        },
       });
       signal.addEventListener("abort", () => {
         // Also what has arrived: the person wants none of it.
@@ -59,6 +63,12 @@ export class Upload {
       });
       upload.start();
     });
+  }
+
+  /** Delete what the service has: it does not want the rest. */
+  private giveUp(): void {
+    if (this.url !== null) void TusUpload.terminate(this.url, { headers: this.service.credentials }).catch(() => undefined);
+    this.url = null;
   }
 
   /** Whether the same bytes may be taken later. */

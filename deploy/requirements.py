@@ -14,7 +14,11 @@ from pathlib import Path
 from typing import Any
 
 # Extras of each image, and whether it runs the library.
-IMAGES = {"service": (("service",), False), "worker-cpu": (("worker",), True), "worker-gpu": (("worker", "cuda"), True)}
+IMAGES = {
+    "service": (("service", "telemetry"), False),
+    "worker-cpu": (("worker", "telemetry"), True),
+    "worker-gpu": (("worker", "telemetry", "cuda"), True),
+}
 # Of the library's dependencies, those that the console programs and the service import too.
 SHARED = ("pydantic", "typer", "rich")
 

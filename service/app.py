@@ -6,6 +6,7 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
+from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
 from fastapi.concurrency import run_in_threadpool
@@ -18,18 +19,23 @@ from service.contract.live import Live
 from service.contract.options import LIBRARY
 from service.contract.queue import JobQueue, connect
 from service.contract.recovery import PERIOD, Recovery
+from service.contract.resumable import ResumableUploads
 from service.contract.settings import Settings
 from service.contract.store import Store
 from service.events import EventHub
 from service.guards import LocalGuard
+from service.housekeeping import Housekeeping
 from service.keys import Keys
 from service.metrics import Metrics, MetricsMiddleware
 from service.openapi import describe
 from service.parts import Parts
 from service.polls import Polls
 from service.problems import install
-from service.routes import artifacts, health, jobs, options, page, webhooks
+from service.routes import artifacts, health, jobs, options, page, uploads, webhooks
 from service.snapshots import Snapshots
+
+if TYPE_CHECKING:
+    from opentelemetry.sdk.trace import TracerProvider
 
 log = logging.getLogger("mgsr.service")
 
@@ -37,8 +43,8 @@ log = logging.getLogger("mgsr.service")
 STORE_PATIENCE = 4.0
 
 
-def create_app(settings: Settings) -> FastAPI:
-    """Create the service's app.
+def create_app(settings: Settings, telemetry: TracerProvider | None = None) -> FastAPI:
+    """Create the service's app. telemetry: where the spans of its requests go.
 
     Raises SetupError where no Redis server is named, StoreError where the store can't be opened.
     """
@@ -51,8 +57,8 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.parts = parts
     install(app)
-    for routes in (jobs.router, artifacts.router, options.router, webhooks.router, health.router, page.router):
-        app.include_router(routes)
+    for routes in (jobs, uploads, artifacts, options, webhooks, health, page):
+        app.include_router(routes.router)
     # The last is asked first: the guard, the count, the polls, the routes.
     polled = next(route for route in jobs.router.routes if getattr(route, "endpoint", None) is jobs.get_job)
     app.add_middleware(Polls, keys=parts.keys, snapshots=parts.snapshots, route=polled)
@@ -60,6 +66,10 @@ def create_app(settings: Settings) -> FastAPI:
     hosts = {name.strip().lower() for name in settings.allowed_hosts.split(",") if name.strip()}
     app.add_middleware(LocalGuard, keys_needed=lambda: parts.keys.needed_cached, hosts=hosts)
     describe(app)
+    if telemetry is not None:
+        from opentelemetry.instrumentation.fastapi import FastAPIInstrumentor
+
+        FastAPIInstrumentor.instrument_app(app, tracer_provider=telemetry, excluded_urls="healthz,readyz,metrics")
     return app
 
 
@@ -68,10 +78,11 @@ def _make_parts(settings: Settings) -> Parts:
     redis, store = connect(url), Store(settings.store_url, STORE_PATIENCE)
     async_redis = AsyncRedis.from_url(url, socket_timeout=5.0, socket_connect_timeout=2.0)
     jobs, queue = Jobs(store), JobQueue(redis)
-    snapshots = Snapshots(jobs, queue, async_redis)
+    snapshots = Snapshots(jobs, queue, async_redis, settings.retention)
     return Parts(
         settings=settings,
         jobs=jobs,
+        uploads=ResumableUploads(store, settings.upload_lifetime),
         keys=Keys(store),
         live=Live(redis),
         queue=queue,
@@ -94,12 +105,17 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 
 
 async def _recover(parts: Parts) -> None:
-    """Look for lost jobs as the workers do: a service alone must notice a cancel of a job that no worker has."""
+    """Look for lost jobs as the workers do, and for what has expired.
+
+    A service alone must notice a cancel of a job that no worker has.
+    """
     recovery = Recovery(parts.jobs, parts.live, parts.queue)
+    housekeeping = Housekeeping(parts.jobs, parts.live, parts.uploads, parts.settings.retention)
     while True:
         try:
             await run_in_threadpool(parts.keys.needed)
             await run_in_threadpool(recovery.look)
+            await run_in_threadpool(housekeeping.look)
         except (RedisError, StoreError) as error:
             log.warning("recovery failed and will be retried: %s", error)
         await asyncio.sleep(PERIOD)

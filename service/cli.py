@@ -36,9 +36,10 @@ def serve_api(host: str, port: int) -> None:
 
     from service.app import create_app
     from service.contract.settings import Settings
+    from service.contract.telemetry import open_telemetry
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
-    app = create_app(Settings())
+    app = create_app(Settings(), open_telemetry("mgsr-service"))
     if not app.state.parts.keys.needed() and not is_loopback(host):
         raise SetupError(
             f"--host {host}: a service without keys listens only on 127.0.0.1; create a key with `mgsr keys create "

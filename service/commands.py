@@ -1,11 +1,10 @@
-"""The commands of `mgsr` that concern the service: serve, submit, rerun, fetch, keys."""
+"""The commands of `mgsr` that concern the service: serve, submit, rerun, fetch, jobs, pin, retention, keys."""
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -29,6 +28,9 @@ def add_commands(app: typer.Typer) -> None:
     app.command()(submit)
     app.command()(rerun)
     app.command()(fetch)
+    app.command()(jobs)
+    app.command()(pin)
+    app.command()(retention)
     app.add_typer(keys, name="keys")
 
 
@@ -102,13 +104,13 @@ def rerun(
         from service.contract.options import parse_setting
 
         try:
-            changes: dict[str, object] = {} if preset is None else {"preset": preset}
+            changes: dict[str, Any] = {} if preset is None else {"preset": preset}
             if settings:
                 changes["settings"] = dict(parse_setting(text) for text in settings)
         except ValueError as error:
             raise SetupError(str(error)) from error
         folder = (out or Path("out") / job) if wait else None
-        raise typer.Exit(rerun_job(server, os.environ.get("MGSR_KEY"), job, json.dumps(changes), folder))
+        raise typer.Exit(rerun_job(server, os.environ.get("MGSR_KEY"), job, changes, folder))
 
 
 def fetch(
@@ -124,6 +126,51 @@ def fetch(
         from service.client.submit import fetch_job
 
         raise typer.Exit(fetch_job(server, os.environ.get("MGSR_KEY"), job, out or Path("out") / job))
+
+
+def jobs(
+    limit: Annotated[int, typer.Option(help="The most jobs to list.", min=1, max=200)] = 50,
+    server: ServerOption = DEFAULT_SERVER,
+) -> None:
+    """List your jobs, the newest first: id, status, submitted, when it goes, and name."""
+    with refusals():
+        from service.client.submit import list_jobs
+
+        raise typer.Exit(list_jobs(server, os.environ.get("MGSR_KEY"), limit))
+
+
+def pin(
+    job: Annotated[str, typer.Argument(metavar="ID", help="The job's id, as `mgsr jobs` lists it.")],
+    off: Annotated[bool, typer.Option("--off", help="Unpin the job.")] = False,
+    server: ServerOption = DEFAULT_SERVER,
+) -> None:
+    """Keep a job beyond the service's retention."""
+    with refusals():
+        from service.client.submit import pin_job
+
+        raise typer.Exit(pin_job(server, os.environ.get("MGSR_KEY"), job, not off))
+
+
+def retention(
+    days: Annotated[
+        float | None, typer.Option(min=0, help="Days from a job's end. The default is MGSR_RETENTION.")
+    ] = None,
+) -> None:
+    """List the jobs that a retention would delete now, without deleting them. MGSR_STORE names the store."""
+    with refusals():
+        from service.contract.jobs import Jobs
+        from service.contract.retention import Retention
+        from service.contract.settings import Settings
+        from service.contract.store import Store
+
+        settings = Settings()
+        seconds = settings.retention if days is None else days * 86400
+        if seconds is None:
+            raise SetupError("jobs stay, because MGSR_RETENTION is not set; --days shows what a retention would delete")
+        kept = Jobs(Store(settings.store_url, 10.0))
+        for state in Retention(kept, seconds).due():
+            assert state.outcome is not None
+            print(f"{state.record.id}  {state.outcome.status:9}  ended {state.outcome.finished:%Y-%m-%d %H:%M} UTC")
 
 
 @keys.command("create")

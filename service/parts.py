@@ -13,6 +13,7 @@ from redis.asyncio import Redis as AsyncRedis
 from service.contract.jobs import Jobs
 from service.contract.live import Live
 from service.contract.queue import JobQueue
+from service.contract.resumable import ResumableUploads
 from service.contract.settings import Settings
 from service.events import EventHub
 from service.keys import Keys
@@ -30,6 +31,7 @@ class Parts:
 
     settings: Settings
     jobs: Jobs
+    uploads: ResumableUploads
     keys: Keys
     live: Live
     queue: JobQueue

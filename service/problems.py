@@ -52,7 +52,7 @@ class Problem(Exception):
         """Return the problem as a JSON response."""
         body = ProblemDetails(
             type=f"urn:mgsr:problem:{self.code}",
-            title=HTTPStatus(self.status).phrase,
+            title=_title(self.status),
             status=self.status,
             code=self.code,
             detail=self.detail,
@@ -65,9 +65,17 @@ def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Return the documentation of a route's errors; every route may also answer 400, 401, 403 and 503."""
     reference = {"schema": {"$ref": "#/components/schemas/ProblemDetails"}}
     return {
-        status: {"description": HTTPStatus(status).phrase, "content": {MEDIA_TYPE: reference}}
+        status: {"description": _title(status), "content": {MEDIA_TYPE: reference}}
         for status in sorted({400, 401, 403, 503, *statuses})
     }
+
+
+def _title(status: int) -> str:
+    """Return the status in words; of one that HTTP does not know, those of its class."""
+    try:
+        return HTTPStatus(status).phrase
+    except ValueError:
+        return HTTPStatus(status // 100 * 100).phrase
 
 
 def install(app: FastAPI) -> None:

@@ -6,6 +6,7 @@ Three hundred clients that poll a job cost one look at the store and Redis in ea
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import hashlib
 import json
 import re
@@ -58,8 +59,9 @@ class Snapshot:
 class Snapshots:
     """The jobs that were asked for lately."""
 
-    def __init__(self, jobs: Jobs, queue: JobQueue, redis: AsyncRedis) -> None:
-        self._jobs, self._queue, self._redis = jobs, queue, redis
+    def __init__(self, jobs: Jobs, queue: JobQueue, redis: AsyncRedis, retention: float | None) -> None:
+        """Begin with none. retention: seconds for which jobs are kept after their end; None for ever."""
+        self._jobs, self._queue, self._redis, self._retention = jobs, queue, redis, retention
         self._kept: dict[str, Snapshot] = {}
         self._reading: dict[str, asyncio.Task[Snapshot | None]] = {}
         self._changed: dict[str, float] = {}
@@ -128,11 +130,11 @@ class Snapshots:
                 lease_key(job), progress_key(job), cancel_key(job, state.round)
             )
             if cancelling is not None and state.outcome is None:
-                state = JobState(state.record, state.round, None, True)
+                state = dataclasses.replace(state, cancelling=True)
             place = None
             if state.outcome is None and leased is None:
                 place = (await self._waiting_places()).get((job, state.round))
-            return job_view(state, leased is not None, json.loads(progress or "{}"), place)
+            return job_view(state, leased is not None, json.loads(progress or "{}"), place, self._retention)
         except RedisError:
             return await self._view_without_redis(state)
 
@@ -143,7 +145,9 @@ class Snapshots:
         if before is not None and before.state.round == state.round:
             known = before.view.model_dump(exclude_none=True) | {"text": before.view.message}
         started = await run_in_threadpool(self._jobs.attempts, state.record.id)
-        return job_view(state, any(start.round == state.round for start in started.values()), known, None)
+        return job_view(
+            state, any(start.round == state.round for start in started.values()), known, None, self._retention
+        )
 
     async def _waiting_places(self) -> dict[tuple[str, int], int]:
         read_at, places = self._waiting

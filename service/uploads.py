@@ -38,7 +38,7 @@ RAW_TYPES = {
 }
 # What is taken, in words.
 ARCHIVES = "zip, tar, tar.gz, tar.zst, or a video as mp4, mov, webm or mkv"
-_HEAD = 512  # bytes, enough to tell what kind of archive it is
+HEAD_BYTES = 512  # bytes, enough to tell what kind of archive it is
 # Of zip, gzip, zstd, and Matroska with WebM. A tar has its mark later, and mp4 and mov have theirs after a length.
 _MAGIC = (b"PK", b"\x1f\x8b", b"\x28\xb5\x2f\xfd", b"\x1a\x45\xdf\xa3")
 _MOVIES = (b"ftyp", b"moov", b"wide", b"mdat")
@@ -60,7 +60,7 @@ async def receive(request: Request, store: Store, key: str, settings: Settings) 
     """
     sink = _Sink(settings.max_upload)
     kind, parameters = parse_options_header(request.headers.get("content-type", ""))
-    chunks = _timed(request.stream(), settings)
+    chunks = timed(request.stream(), settings)
     async with store.writer(key) as writer:
         if kind == b"multipart/form-data":
             options = await _multipart(chunks, parameters.get(b"boundary"), sink, writer)
@@ -76,7 +76,7 @@ async def receive(request: Request, store: Store, key: str, settings: Settings) 
                 f"expected multipart/form-data with a field `archive`, or one of {', '.join(sorted(RAW_TYPES))}; "
                 f"got {kind.decode('latin-1', 'replace')[:100]!r}",
             )
-        sink.check_kind()
+        check_kind(sink.head)
         await sink.flush(writer)
     return Received(sink.size, sink.digest.hexdigest(), options)
 
@@ -87,16 +87,16 @@ class _Sink:
     def __init__(self, limit: int) -> None:
         self.limit, self.size, self.digest = limit, 0, hashlib.sha256()
         self._held: list[bytes] = []
-        self._head = b""
+        self.head = b""
 
     def take(self, chunk: bytes) -> None:
         self.size += len(chunk)
         if self.size > self.limit:
             raise too_large(self.limit)
-        if len(self._head) < _HEAD:
-            self._head += chunk[: _HEAD - len(self._head)]
-            if len(self._head) >= _HEAD:
-                self.check_kind()
+        if len(self.head) < HEAD_BYTES:
+            self.head += chunk[: HEAD_BYTES - len(self.head)]
+            if len(self.head) >= HEAD_BYTES:
+                check_kind(self.head)
         self.digest.update(chunk)
         self._held.append(chunk)
 
@@ -105,13 +105,13 @@ class _Sink:
         for chunk in held:
             await writer.write(chunk)
 
-    def check_kind(self) -> None:
-        """Raise Problem for what is neither an archive nor a video, by its first bytes; the worker looks closer."""
-        head = self._head
-        if not head:
-            raise Problem(422, "archive_missing", f"the archive is empty; expected {ARCHIVES}")
-        if not (head.startswith(_MAGIC) or head[257:262] == b"ustar" or head[4:8] in _MOVIES):
-            raise Problem(422, "archive_unsupported", f"expected {ARCHIVES}, got other content")
+
+def check_kind(head: bytes) -> None:
+    """Raise Problem for what is neither an archive nor a video, by its first bytes; the worker looks closer."""
+    if not head:
+        raise Problem(422, "archive_missing", f"the archive is empty; expected {ARCHIVES}")
+    if not (head.startswith(_MAGIC) or head[257:262] == b"ustar" or head[4:8] in _MOVIES):
+        raise Problem(422, "archive_unsupported", f"expected {ARCHIVES}, got other content")
 
 
 def too_large(limit: int) -> Problem:
@@ -121,7 +121,7 @@ def too_large(limit: int) -> Problem:
     )
 
 
-async def _timed(stream: AsyncIterator[bytes], settings: Settings) -> AsyncIterator[bytes]:
+async def timed(stream: AsyncIterator[bytes], settings: Settings) -> AsyncIterator[bytes]:
     """Yield the body's chunks. Raises Problem when none comes for long, or the rate is too low."""
     started_at, count = time.monotonic(), 0
     while True:

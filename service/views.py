@@ -11,6 +11,7 @@ from pydantic.config import JsonDict
 from service.contract.jobs import JobState
 from service.contract.options import JobOptions
 from service.contract.records import Failure, JobStatus
+from service.contract.retention import expiry
 
 _EXAMPLE: JsonDict = {
     "id": "5f0c7a1e9b3d4c2f8a6e1d0b7c9f3a52",
@@ -19,6 +20,8 @@ _EXAMPLE: JsonDict = {
     "created": "2026-01-05T10:00:00Z",
     "finished": None,
     "cancelling": False,
+    "pinned": False,
+    "expires": None,
     "step": "train",
     "message": None,
     "stage": "mutual",
@@ -82,6 +85,10 @@ class JobView(BaseModel):
     created: datetime
     finished: datetime | None = None
     cancelling: bool = Field(False, description="Whether the job was asked to cancel and still runs.")
+    pinned: bool = Field(False, description="Whether the job stays after its retention.")
+    expires: datetime | None = Field(
+        None, description="When the service deletes the job with its files; null where it stays."
+    )
     step: str | None = Field(
         None, description="The present step: fetch, unpack, load, start, train, export, render, mesh, ... or publish."
     )
@@ -129,7 +136,9 @@ _PROGRESS = (
 )
 
 
-def job_view(state: JobState, running: bool, progress: dict[str, Any], queue_position: int | None) -> JobView:
+def job_view(
+    state: JobState, running: bool, progress: dict[str, Any], queue_position: int | None, retention: float | None
+) -> JobView:
     """Return the job's view from what the store, and Redis if it answers, say of it."""
     record, outcome = state.record, state.outcome
     fields: dict[str, Any] = {}
@@ -152,6 +161,8 @@ def job_view(state: JobState, running: bool, progress: dict[str, Any], queue_pos
         name=record.options.name,
         created=record.created,
         cancelling=state.cancelling,
+        pinned=state.pinned,
+        expires=expiry(state, retention),
         rerun_of=record.rerun_of,
         round=state.round,
         options=record.options,

@@ -63,7 +63,8 @@ class WorkerContext:
     """What an attempt needs of its worker.
 
     retrying_jobs: jobs in a store client that waits while the store doesn't answer. jobs: in one that gives up soon.
-    stopping: tells whether the worker is to end. beat: reports that the worker lives.
+    stopping: tells whether the worker is to end. beat: reports that the worker lives. step: told
+    of each step that begins.
     """
 
     settings: Settings
@@ -72,6 +73,7 @@ class WorkerContext:
     live: Live
     stopping: Callable[[], bool]
     beat: Callable[[], None]
+    step: Callable[[str], None]
 
 
 class Attempt:
@@ -154,7 +156,7 @@ class Attempt:
         """Fetch the archive, and the newest checkpoint and cameras that any attempt has left."""
         store, job = self._context.retrying_jobs.store, self._record.id
         (self._scratch / "out").mkdir()
-        store.download(self._record.archive, self._scratch / "archive")
+        self._context.retrying_jobs.archives.download(self._record.archive, self._scratch / "archive")
         self._fetch_taken_over()
         held = {entry.key for entry in store.entries(f"jobs/{job}/attempts")}
         for marker, folder in (("checkpoint", "checkpoint"), (CAMERA_STATE, CAMERAS)):
@@ -169,7 +171,7 @@ class Attempt:
             if key == kept or key.startswith(f"{kept}/"):
                 place = Path(f"{target}{key.removeprefix(kept)}")
                 place.parent.mkdir(parents=True, exist_ok=True)
-                self._context.retrying_jobs.store.download(key, place)
+                self._context.retrying_jobs.store.download(place, key)
 
     def _fetch_taken_over(self) -> None:
         """Fetch into the results what a rerun takes over from those of the earlier job."""
@@ -177,7 +179,7 @@ class Attempt:
         for name in store.names(folder):
             path = self._scratch / "out" / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            store.download(f"{folder}{name}", path)
+            store.download(path, f"{folder}{name}")
 
     def _run_process(self) -> Outcome | None:
         """Run the job process to its end; return the outcome unless its results decide it."""
@@ -226,6 +228,8 @@ class Attempt:
 
     def _progress(self, **change: Any) -> None:
         """Report progress to listeners. If Redis is away, the next report makes up for it."""
+        if "step" in change:
+            self._context.step(change["step"])
         change |= {"status": JobStatus.RUNNING}
         self._known |= change | {"round": self._number, "attempt": self._attempt}
         whole = self._known | {"curve": joined(self._earlier_curve, self._known.get("curve", []))}

@@ -7,7 +7,8 @@ import os
 import secrets
 import socket
 from collections.abc import Callable
-from typing import Any
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
 
 from redis import Redis, RedisError
 
@@ -20,6 +21,10 @@ from service.contract.settings import Settings
 from service.contract.store import Store
 from worker.attempt import FINAL_CODES, Attempt, Interrupted, WorkerContext
 from worker.lease import LeaseKeeper
+from worker.tracing import RoundTrace
+
+if TYPE_CHECKING:
+    from opentelemetry.sdk.trace import TracerProvider
 
 log = logging.getLogger("mgsr.worker")
 
@@ -30,8 +35,14 @@ SHORT_PATIENCE = 5.0
 class Rounds:
     """What one worker does with what it takes from the queue."""
 
-    def __init__(self, settings: Settings, redis: Redis, stopping: Callable[[], bool]) -> None:
-        self._settings = settings
+    def __init__(
+        self,
+        settings: Settings,
+        redis: Redis,
+        stopping: Callable[[], bool],
+        telemetry: TracerProvider | None = None,
+    ) -> None:
+        self._settings, self._telemetry = settings, telemetry
         self._stopping = stopping
         self.name = f"{socket.gethostname()}.{os.getpid()}.{secrets.token_hex(3)}"
         self.live = Live(redis)
@@ -39,8 +50,8 @@ class Rounds:
         self.retrying_jobs = Jobs(Store(settings.store_url, settings.publish_patience))
         self.jobs = Jobs(Store(settings.store_url, SHORT_PATIENCE))
 
-    def take(self, job: str, number: int, beat: Callable[[], None]) -> None:
-        """Work on a round, unless another worker does or it is over.
+    def take(self, job: str, number: int, beat: Callable[[], None], waiting_since: datetime | None = None) -> None:
+        """Work on a round, unless another worker does or it is over. waiting_since: when it was queued.
 
         Errors of Redis or the store are logged. The round then stays open, and recovery puts it back into the queue.
         """
@@ -49,11 +60,19 @@ class Rounds:
             if not self.live.take_lease(job, holder, self._settings.lease):
                 return
             with LeaseKeeper(self.live, job, holder, self._settings.lease) as lease:
-                self._work(job, number, holder, lease, beat)
+                self._work(job, number, holder, lease, beat, waiting_since)
         except (StoreError, RedisError) as error:
             log.warning("job %s: another attempt will continue it: %s", job, error)
 
-    def _work(self, job: str, number: int, holder: str, lease: LeaseKeeper, beat: Callable[[], None]) -> None:
+    def _work(
+        self,
+        job: str,
+        number: int,
+        holder: str,
+        lease: LeaseKeeper,
+        beat: Callable[[], None],
+        waiting_since: datetime | None,
+    ) -> None:
         record = self.retrying_jobs.record(job)
         if record is None or self.retrying_jobs.outcome(job, number) is not None:
             self.retrying_jobs.store.delete(f"open/{job}.{number}")
@@ -66,9 +85,14 @@ class Rounds:
             return
         attempt = self.retrying_jobs.begin_attempt(job, number, holder)
         log.info("job %s: attempt %d begins", job, attempt)
-        context = WorkerContext(self._settings, self.retrying_jobs, self.jobs, self.live, self._stopping, beat)
         try:
-            self._end(record, number, Attempt(context, record, number, attempt, lease).run())
+            with RoundTrace(self._telemetry, record, number, waiting_since) as trace:
+                context = WorkerContext(
+                    self._settings, self.retrying_jobs, self.jobs, self.live, self._stopping, beat, trace.step
+                )
+                outcome = Attempt(context, record, number, attempt, lease).run()
+                trace.ended(attempt, outcome)
+            self._end(record, number, outcome)
         except Interrupted as stop:
             log.info("job %s: attempt %d interrupted", job, attempt)
             if not stop.lost:
@@ -87,7 +111,7 @@ class Rounds:
             for attempt in self.retrying_jobs.attempts(record.id):
                 self.retrying_jobs.store.delete(attempt_path(record.id, attempt, "checkpoint"))
         elif outcome.error is not None and outcome.error.code in FINAL_CODES:
-            self.retrying_jobs.store.delete(record.archive)
+            self.retrying_jobs.archives.delete(record.archive)
 
     def _tell(self, job: str, data: dict[str, Any]) -> None:
         try:

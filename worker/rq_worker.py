@@ -9,7 +9,7 @@ import time
 from contextlib import suppress
 from contextvars import ContextVar
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from redis import RedisError
 from rq import Queue
@@ -23,9 +23,13 @@ from service.contract.errors import StoreError
 from service.contract.queue import connect, open_queue
 from service.contract.recovery import PERIOD, Recovery
 from service.contract.settings import Settings
+from service.contract.telemetry import open_telemetry
 from worker.post import Post
 from worker.rounds import Rounds
 from worker.scratch import sweep
+
+if TYPE_CHECKING:
+    from opentelemetry.sdk.trace import TracerProvider
 
 log = logging.getLogger("mgsr.worker")
 
@@ -77,11 +81,13 @@ class MgsrWorker(SimpleWorker):
     max_connection_wait_time = 2.0
     log_result_lifespan = False
 
-    def __init__(self, queues: list[str], settings: Settings, stop: StopSignals) -> None:
+    def __init__(
+        self, queues: list[str], settings: Settings, stop: StopSignals, telemetry: TracerProvider | None = None
+    ) -> None:
         url = settings.need_redis()
         # Two clients: RQ raises the time-out of its own, so that it can wait for jobs; leases must not wait so long.
         connection = connect(url)
-        self.rounds = Rounds(settings, connect(url), stop)
+        self.rounds = Rounds(settings, connect(url), stop, telemetry)
         self._stop = stop
         super().__init__(
             [open_queue(name, connection) for name in queues],
@@ -117,12 +123,12 @@ def work(queues: list[str], settings: Settings) -> None:
     """Take jobs until SIGTERM or SIGINT, across restarts of Redis."""
     for chore in (_keep_house, _send_post):
         threading.Thread(target=chore, args=(settings,), daemon=True, name=chore.__name__).start()
-    stop = StopSignals()
+    stop, telemetry = StopSignals(), open_telemetry("mgsr-worker")
     with suppress(StopRequested):
         stop.install_handlers()
         while not stop.asked:
             try:
-                MgsrWorker(queues, settings, stop).work(logging_level="WARNING")
+                MgsrWorker(queues, settings, stop, telemetry).work(logging_level="WARNING")
             except RedisError as error:
                 log.warning("Redis does not answer and is tried again: %s", error)
             if not stop.asked:

@@ -1,29 +1,52 @@
 """The service's addresses as method calls.
 
 A server that is away for a while is asked again. A repeat submits nothing twice, as each submit carries an idempotency
-key.
+key. A large archive goes as a resumable upload (tus 1.0): a broken connection costs only what was on its way.
 """
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
 import os
 import time
 import uuid
-from collections.abc import Callable, Iterator
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
 
 import httpx
 
+from service.client.packing import packed
+
 CHUNK = 1 << 18
+# An archive of more bytes goes in requests of so many: some proxies hold back a request until it is whole.
+REQUEST_BYTES = 32 << 20
 TRIES = 8
 _AGAIN = {429, 502, 503, 504}
+_APPEND_AGAIN = _AGAIN | {408, 409}  # too slow; another offset
+_TUS = {"Tus-Resumable": "1.0.0"}
 
 Job = dict[str, Any]
+Progress = Callable[[int, int], None]
+
+
+def ignore(done: int, total: int) -> None:
+    """Ignore progress."""
+
+
+class _Counter:
+    """Counts bytes, and tells how many there are."""
+
+    def __init__(self, total: int, tell: Progress) -> None:
+        self.done, self.total, self._tell = 0, total, tell
+
+    def add(self, count: int) -> None:
+        self.done += count
+        self._tell(self.done, self.total)
 
 
 class ServiceRefusal(Exception):
@@ -41,7 +64,7 @@ class DamagedDownload(Exception):
 class Client:
     """One service. Use in `with`. Methods raise ServiceRefusal, and httpx.HTTPError where nobody answers for long."""
 
-    def __init__(self, server: str, key: str | None) -> None:
+    def __init__(self, server: str, key: str | None = None) -> None:
         headers = {} if key is None else {"Authorization": f"Bearer {key}"}
         self._http = httpx.Client(base_url=server.rstrip("/"), headers=headers, timeout=60.0, follow_redirects=False)
 
@@ -51,41 +74,103 @@ class Client:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connections."""
         self._http.close()
 
     def check(self) -> None:
         """Check once that the service is there."""
         _check(self._http.get("/healthz", timeout=10.0))
 
-    def submit(self, archive: Path, options: str, sent: Callable[[int], None]) -> Job:
-        """Send an archive with its options (JSON), and return the job. sent: told of each chunk's size."""
+    def submit(self, scene: Path, options: Mapping[str, Any], sent: Progress = ignore) -> Job:
+        """Send a folder or an archive of photographs, or a video, and return the job.
+
+        options: as in `GET /options`. sent: told of the bytes sent so far and of all. Raises SetupError where there is
+        no scene.
+        """
+        with packed(scene) as archive:
+            counter = _Counter(archive.stat().st_size, sent)
+            if counter.total > REQUEST_BYTES:
+                return self._submit_resumable(archive, json.dumps(options), counter)
+            return self._submit_at_once(archive, json.dumps(options), counter)
+
+    def _submit_at_once(self, archive: Path, options: str, counter: _Counter) -> Job:
         key = uuid.uuid4().hex
-        size = str(archive.stat().st_size)
 
         def send() -> httpx.Response:
+            counter.done = 0
             return self._http.post(
                 "/jobs",
                 params={"options": options},
-                headers={"Content-Type": "application/octet-stream", "Content-Length": size, "Idempotency-Key": key},
-                content=_chunks(archive, sent),
+                headers=_body_headers("application/octet-stream", counter.total) | {"Idempotency-Key": key},
+                content=_chunks(archive, counter, counter.total),
             )
 
         created: Job = _again(send).json()
         return created
 
-    def rerun(self, job: str, options: str) -> Job:
-        """Send the archive of an earlier job again, with these options (JSON) in place of its own; return the new job.
+    def _submit_resumable(self, archive: Path, options: str, counter: _Counter) -> Job:
+        metadata = f"options {base64.b64encode(options.encode()).decode()}"
+        headers = _TUS | {"Upload-Length": str(counter.total), "Upload-Metadata": metadata}
+        address = _again(lambda: self._http.post("/uploads", headers=headers)).headers["Location"]
+        try:
+            self._send_parts(address, archive, counter)
+        except BaseException:
+            with suppress(httpx.HTTPError):  # then the service deletes it later
+                self._http.delete(address, headers=_TUS, timeout=5.0)
+            raise
+        created: Job = _again(lambda: self._http.post(f"{address}/job")).json()
+        return created
+
+    def _send_parts(self, address: str, archive: Path, counter: _Counter) -> None:
+        """Send an archive to an upload, from where the service has it after each break."""
+        arrived = failures = 0
+        while arrived < counter.total:
+            try:
+                answer = self._append(address, archive, arrived, counter)
+                arrived, failures = int(answer.headers["Upload-Offset"]), 0
+            except (httpx.TransportError, ServiceRefusal) as error:
+                failures += 1
+                if failures == TRIES or (isinstance(error, ServiceRefusal) and error.status not in _APPEND_AGAIN):
+                    raise
+                time.sleep(_pause(failures))
+                head = _again(lambda: self._http.head(address, headers=_TUS))
+                known, arrived = arrived, int(head.headers["Upload-Offset"])
+                failures = 0 if arrived > known else failures
+
+    def _append(self, address: str, archive: Path, begin: int, counter: _Counter) -> httpx.Response:
+        """Send the next bytes of an upload."""
+        counter.done = begin
+        end = min(begin + REQUEST_BYTES, counter.total)
+        headers = _TUS | {"Upload-Offset": str(begin)} | _body_headers("application/offset+octet-stream", end - begin)
+        return _check(self._http.patch(address, headers=headers, content=_chunks(archive, counter, end)))
+
+    def rerun(self, job: str, options: Mapping[str, Any]) -> Job:
+        """Send the archive of an earlier job again, with these options in place of its own; return the new job.
 
         Options that are left out are as in the earlier job.
         """
-        headers = {"Idempotency-Key": uuid.uuid4().hex}
+        headers, params = {"Idempotency-Key": uuid.uuid4().hex}, {"options": json.dumps(options)}
         address = f"/jobs/{job}/rerun"
-        created: Job = _again(lambda: self._http.post(address, params={"options": options}, headers=headers)).json()
+        created: Job = _again(lambda: self._http.post(address, params=params, headers=headers)).json()
         return created
+
+    def jobs(self, limit: int = 50) -> list[Job]:
+        """Return your jobs, the newest first."""
+        found: list[Job] = _again(lambda: self._http.get("/jobs", params={"limit": limit})).json()["jobs"]
+        return found
 
     def job(self, job: str) -> Job:
         """Return the job's current state."""
         state: Job = _again(lambda: self._http.get(f"/jobs/{job}")).json()
+        return state
+
+    def pin(self, job: str, pinned: bool = True) -> Job:
+        """Keep a job beyond the service's retention, or no longer."""
+        method = "PUT" if pinned else "DELETE"
+        state: Job = _again(lambda: self._http.request(method, f"/jobs/{job}/pin")).json()
         return state
 
     def cancel(self, job: str) -> Job:
@@ -97,6 +182,17 @@ class Client:
         """Return the result files: name, size, sha256."""
         artifacts: list[dict[str, Any]] = _again(lambda: self._http.get(f"/jobs/{job}/artifacts")).json()["artifacts"]
         return artifacts
+
+    def fetch(self, job: str, out: Path, got: Progress = ignore) -> list[Path]:
+        """Fetch every result of a job into a folder, and return the files.
+
+        got: told of the bytes fetched so far and of all. Raises DamagedDownload.
+        """
+        artifacts = self.artifacts(job)
+        counter = _Counter(sum(artifact["size"] for artifact in artifacts), got)
+        for artifact in artifacts:
+            self.download(job, artifact, out / artifact["name"], counter.add)
+        return [out / artifact["name"] for artifact in artifacts]
 
     def download(self, job: str, artifact: dict[str, Any], path: Path, got: Callable[[int], None]) -> None:
         """Write a result file to `path`, whole and checked, or not at all; a cut download resumes.
@@ -209,8 +305,14 @@ def _check(answer: httpx.Response) -> httpx.Response:
         raise ServiceRefusal(answer.status_code, "unknown", f"HTTP {answer.status_code}: {answer.text[:200]}") from None
 
 
-def _chunks(path: Path, sent: Callable[[int], None]) -> Iterator[bytes]:
+def _body_headers(kind: str, size: int) -> dict[str, str]:
+    return {"Content-Type": kind, "Content-Length": str(size)}
+
+
+def _chunks(path: Path, counter: _Counter, end: int) -> Iterator[bytes]:
+    """Yield the file's bytes from where the counter stands up to `end`."""
     with path.open("rb") as file:
-        while chunk := file.read(CHUNK):
+        file.seek(counter.done)
+        while chunk := file.read(min(CHUNK, end - counter.done)):
             yield chunk
-            sent(len(chunk))
+            counter.add(len(chunk))

@@ -1,11 +1,10 @@
-"""`mgsr submit`, `rerun` and `fetch`: zip a scene, send it, follow the job and fetch its results."""
+"""`mgsr submit`, `rerun` and `fetch`: send a scene, follow the job and fetch its results."""
 
 from __future__ import annotations
 
-import tempfile
-import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -30,22 +29,42 @@ def submit_scene(server: str, key: str | None, scene: Path, options: JobOptions,
     """
 
     def talk(client: Client, console: Console) -> int:
-        with _archive(scene) as archive:
-            client.check()
-            job = _send(client, archive, options, console)
+        client.check()
+        job = _send(client, scene, options, console)
         return _sent(job, client, server, out, console)
 
     return _talk(server, key, talk)
 
 
-def rerun_job(server: str, key: str | None, job: str, options: str, out: Path | None) -> int:
-    """Run an earlier job again with some other options (JSON), and return the program's exit code.
+def rerun_job(server: str, key: str | None, job: str, options: dict[str, Any], out: Path | None) -> int:
+    """Run an earlier job again with some other options, and return the program's exit code.
 
     With `out`, wait for the new job and put its results there. Raises SetupError where the service refuses it.
     """
 
     def talk(client: Client, console: Console) -> int:
         return _sent(client.rerun(job, options), client, server, out, console)
+
+    return _talk(server, key, talk)
+
+
+def list_jobs(server: str, key: str | None, limit: int) -> int:
+    """Print the newest jobs, one a line, and return the program's exit code. Raises SetupError."""
+
+    def talk(client: Client, console: Console) -> int:
+        for job in client.jobs(limit):
+            console.print(_job_line(job), soft_wrap=True, markup=False)
+        return 0
+
+    return _talk(server, key, talk)
+
+
+def pin_job(server: str, key: str | None, job: str, pinned: bool) -> int:
+    """Pin or unpin a job, print it, and return the program's exit code. Raises SetupError."""
+
+    def talk(client: Client, console: Console) -> int:
+        console.print(_job_line(client.pin(job, pinned)), soft_wrap=True, markup=False)
+        return 0
 
     return _talk(server, key, talk)
 
@@ -74,28 +93,17 @@ def _talk(server: str, key: str | None, talk: Callable[[Client, Console], int]) 
         return INTERRUPTED
 
 
+def _send(client: Client, scene: Path, options: JobOptions, console: Console) -> Job:
+    with _transfer("sending", console) as progress:
+        return client.submit(scene, options.model_dump(mode="json"), progress)
+
+
 @contextmanager
-def _archive(scene: Path) -> Iterator[Path]:
-    """Yield the scene as one file: itself, or a folder's files in a zip, without hidden ones."""
-    if scene.is_file():
-        yield scene
-        return
-    if not scene.is_dir():
-        raise SetupError(f"{scene}: expected a folder or an archive of photographs, or a video, found nothing")
-    with tempfile.NamedTemporaryFile(suffix=".zip") as made:
-        with zipfile.ZipFile(made, "w", zipfile.ZIP_STORED) as target:  # photographs are compressed already
-            for path in sorted(scene.rglob("*")):
-                name = path.relative_to(scene)
-                if path.is_file() and not any(part.startswith(".") for part in name.parts):
-                    target.write(path, name.as_posix())
-        made.flush()
-        yield Path(made.name)
-
-
-def _send(client: Client, archive: Path, options: JobOptions, console: Console) -> Job:
-    with Progress(TextColumn("sending"), BarColumn(), DownloadColumn(), console=console, transient=True) as bar:
-        task = bar.add_task("sending", total=archive.stat().st_size)
-        return client.submit(archive, options.model_dump_json(), lambda count: bar.advance(task, count))
+def _transfer(what: str, console: Console) -> Iterator[Callable[[int, int], None]]:
+    """Show the progress of a transfer; yield the function to be told of the bytes done and of all."""
+    with Progress(TextColumn(what), BarColumn(), DownloadColumn(), console=console, transient=True) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def _sent(job: Job, client: Client, server: str, out: Path | None, console: Console) -> int:
@@ -119,6 +127,14 @@ def _wait(client: Client, job: str, out: Path, console: Console) -> int:
                 said = line
                 console.print(line)
     return _fetch(client, now, out, console)
+
+
+def _job_line(job: Job) -> str:
+    stays = "pinned" if job["pinned"] else ""
+    if job["expires"] is not None:
+        stays = f"goes {datetime.fromisoformat(job['expires']).astimezone():%Y-%m-%d %H:%M}"
+    parts = (job["id"], f"{job['status']:9}", job["created"][:16].replace("T", " "), stays, job["name"] or "")
+    return "  ".join(part for part in parts if part)
 
 
 def _finding_line(finding: dict[str, Any]) -> str:
@@ -152,10 +168,7 @@ def _fetch(client: Client, job: Job, out: Path, console: Console) -> int:
             memory = each["memory_mib"] / 1024
             console.print(f"{each['preset']:9} up to about {each['seconds']:.0f} s and {memory:.1f} GiB", markup=False)
         return 0
-    artifacts = client.artifacts(job["id"])
-    with Progress(TextColumn("fetching"), BarColumn(), DownloadColumn(), console=console, transient=True) as bar:
-        task = bar.add_task("fetching", total=sum(artifact["size"] for artifact in artifacts))
-        for artifact in artifacts:
-            client.download(job["id"], artifact, out / artifact["name"], lambda count: bar.advance(task, count))
+    with _transfer("fetching", console) as progress:
+        client.fetch(job["id"], out, progress)
     console.print(f"mesh   {out / 'mesh.ply'}\nreport {out / 'report.html'}", soft_wrap=True)
     return 0

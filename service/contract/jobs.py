@@ -2,28 +2,31 @@
 
 jobs/<id>/job.json                  what was asked for
 jobs/<id>/rounds/<r>                that round r was asked for (0, the submit, needs no mark; then the retries)
+jobs/<id>/pinned                    that the job stays, however long ago it ended
 jobs/<id>/cancels/<r>               that someone wants round r to stop
 jobs/<id>/outcomes/<r>.json         how round r ended; the first to write it wins
 jobs/<id>/attempts/<n>/start.json   a worker took up a round; beside it what it has made
 jobs/<id>/attempts/0/...            of a rerun: what it takes over from the earlier job's results
 jobs/<id>/attempts/<n>/end          that this attempt ended in good order, if without an outcome
+
 open/<id>.<r>                       that round r may have no outcome yet
 webhooks/<id>.<r>                   that the owner is still to be told of the outcome of round r
 owners/<owner>/<time>.<id>          each owner's jobs; the time runs backwards, so the newest sort first
-uploads/<id>.<upload>               archives
+uploads/<id>.<upload>               archives (archives.py)
 """
 
 from __future__ import annotations
 
-import time
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import datetime
 
+from service.contract.archives import Archives
 from service.contract.records import AttemptStart, JobRecord, JobStatus, Outcome, now
+from service.contract.resumable import archives_on_the_way
 from service.contract.store import Store
 
-# An upload that no job names after so many seconds was cut off together with its service.
-STALE_UPLOAD = 6 * 3600.0
 _END_OF_TIME = 10**13
 # Results that a rerun takes over, files and folders: found cameras, the object's masks, and its background. The worker
 # puts them into the new job's results before it begins.
@@ -40,13 +43,14 @@ class JobState:
     round: int
     outcome: Outcome | None
     cancelling: bool
+    pinned: bool
 
 
 class Jobs:
     """The jobs of one store."""
 
     def __init__(self, store: Store) -> None:
-        self.store = store
+        self.store, self.archives = store, Archives(store)
 
     def create(self, record: JobRecord) -> JobRecord:
         """File a new job; return the job on file, which is the earlier one if the id exists."""
@@ -71,7 +75,8 @@ class Jobs:
             return None
         last = self.last_round(job)
         outcome = self.outcome(job, last)
-        return JobState(record, last, outcome, outcome is None and self.cancel_asked(job, last))
+        cancelling = outcome is None and self.cancel_asked(job, last)
+        return JobState(record, last, outcome, cancelling, self.store.read(_path(job, "pinned")) is not None)
 
     def last_round(self, job: str) -> int:
         """Return the number of the last round that was asked for."""
@@ -116,6 +121,13 @@ class Jobs:
     def cancel_now(self, job: str, number: int) -> bool:
         """End a round that nobody works on as cancelled; return whether it was still open."""
         return self.finish(job, number, Outcome(status=JobStatus.CANCELLED, attempt=None, finished=now()))
+
+    def pin(self, job: str, pinned: bool) -> None:
+        """Note whether a job stays, however long ago it ended."""
+        if pinned:
+            self.store.replace(_path(job, "pinned"), b"")
+        else:
+            self.store.delete(_path(job, "pinned"))
 
     def begin_attempt(self, job: str, number: int, worker: str) -> int:
         """Claim the next attempt of a job for a worker, and return its number, from 1."""
@@ -178,7 +190,7 @@ class Jobs:
         First what is large, so that asking again ends a removal that was cut off; then the job itself. Its outcomes
         come last, as without them it would count as open.
         """
-        self.store.delete(record.archive)
+        self.archives.delete(record.archive)
         self.store.delete_all(_path(record.id, "attempts"))
         for job, number in self.untold_rounds():
             if job == record.id:
@@ -191,16 +203,28 @@ class Jobs:
         """Return the ids of an owner's jobs, the newest first."""
         return [name.partition(".")[2] for name in sorted(self.store.names(f"owners/{owner}"))]
 
+    def created_before(self, time: datetime) -> list[str]:
+        """Return the ids of all jobs that were submitted before a time."""
+        first = _order(time)
+        names = (name.rpartition("/")[2].partition(".") for name in self.store.names("owners"))
+        return [job for order, _, job in names if order > first]
+
+    def stored_of(self, owner: str) -> int:
+        """Return the bytes that an owner's jobs take: archives, results and checkpoints."""
+        owned = set(self.owned(owner))
+        archives = (entry for entry in self.store.entries("uploads") if _job_of_archive(entry.key) in owned)
+        files = (entry for entry in self.store.entries("jobs") if entry.key.split("/")[1] in owned)
+        return sum(entry.size for entry in itertools.chain(archives, files))
+
     def sweep_uploads(self) -> None:
-        """Remove archives that no job names, whole or not, left by services that were killed during an upload."""
-        self.store.delete_unfinished("uploads", STALE_UPLOAD)
-        for entry in self.store.entries("uploads"):
-            job = entry.key.removeprefix("uploads/").partition(".")[0]
-            if time.time() - entry.modified.timestamp() < STALE_UPLOAD:
-                continue
-            record = self.record(job)
-            if record is None or record.archive != entry.key:
-                self.store.delete(entry.key)
+        """Remove stale archives that no job names, left by services that were killed during an upload."""
+        arriving = archives_on_the_way(self.store)
+
+        def wanted(archive: str) -> bool:
+            record = self.record(_job_of_archive(archive))
+            return archive in arriving or (record is not None and record.archive == archive)
+
+        self.archives.sweep(wanted)
 
 
 def attempt_path(job: str, attempt: int, name: str) -> str:
@@ -208,14 +232,17 @@ def attempt_path(job: str, attempt: int, name: str) -> str:
     return _path(job, f"attempts/{attempt}/{name}")
 
 
-def upload_path(job: str, upload: str) -> str:
-    """Return the key of an archive."""
-    return f"uploads/{job}.{upload}"
+def _job_of_archive(key: str) -> str:
+    return key.split("/")[1].partition(".")[0]
 
 
 def _index_path(record: JobRecord) -> str:
-    order = _END_OF_TIME - round(record.created.timestamp() * 1000)
-    return f"owners/{record.owner}/{order:013d}.{record.id}"
+    return f"owners/{record.owner}/{_order(record.created)}.{record.id}"
+
+
+def _order(time: datetime) -> str:
+    """Return a text that sorts later times first."""
+    return f"{_END_OF_TIME - round(time.timestamp() * 1000):013d}"
 
 
 def _path(job: str, name: str) -> str:

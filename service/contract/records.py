@@ -42,6 +42,7 @@ class JobRecord(Document):
     archive: str  # key in the store
     archive_bytes: int
     payload_sha256: str  # of archive and options: what an idempotency key stands for
+    traceparent: str | None = None  # of the submit's span (W3C Trace Context)
     rerun_of: str | None = None  # the job whose archive this one took over
 
 

@@ -44,8 +44,11 @@ class Settings(BaseSettings):
     upload_idle: float = 30.0  # without a byte, after which an upload is given up
     upload_grace: float = 30.0  # before the rate is looked at
     upload_rate: ByteSize = ByteSize(1024)  # bytes a second on average that an upload must reach
+    upload_lifetime: float = 24 * 3600.0  # of a resumable upload, from the last bytes that arrived
     min_free_disk: ByteSize = ByteSize(GIB)  # left free, at a submit and during a run
-    max_open_jobs: int = 1000  # queued and running, of one owner
+    max_open_jobs: int = 1000  # queued, running and being uploaded, of one owner
+    max_stored: ByteSize | None = None  # of one owner's jobs and uploads, with results; none: no limit
+    retention: float | None = Field(default=None, gt=0)  # from a job's end to its deletion; none: jobs stay
 
     max_members: int = 20_000  # files in an archive
     max_unpacked: ByteSize = ByteSize(32 * GIB)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import AsyncIterator, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -104,7 +104,7 @@ class Store:
         """
         if self.folder is None:
             return
-        for path in (self.folder / prefix).glob("*#*"):  # so obstore names a file until it is whole
+        for path in (self.folder / prefix).rglob("*#*"):  # so obstore names a file until it is whole
             with suppress(FileNotFoundError):
                 if time.time() - path.stat().st_mtime > age:
                     path.unlink()
@@ -124,18 +124,23 @@ class Store:
         with _failures(key):
             obstore.put(self._backend, key, path, chunk_size=PART, max_concurrency=2)
 
-    def download(self, key: str, path: Path) -> None:
-        """Write an object to a file. Raises StoreError where there is none."""
-        with _failures(key), open(path, "wb") as file:
-            for chunk in obstore.get(self._backend, key).stream(min_chunk_size=PART):
-                file.write(chunk)
+    def download(self, path: Path, *keys: str) -> None:
+        """Write objects, one after another, to a file. Raises StoreError where one does not exist."""
+        with open(path, "wb") as file:
+            for key in keys:
+                with _failures(key):
+                    for chunk in obstore.get(self._backend, key).stream(min_chunk_size=PART):
+                        file.write(chunk)
 
-    def writer(self, key: str) -> Any:
-        """Return an asynchronous writer of one object: `await write(bytes)` in an `async with`.
+    @asynccontextmanager
+    async def writer(self, key: str) -> AsyncIterator[Any]:
+        """Yield an asynchronous writer of one object: `await write(bytes)`.
 
         It drops everything if the block ends by an exception.
         """
-        return obstore.open_writer_async(self._backend, key, buffer_size=PART, max_concurrency=1)
+        with _failures(key):
+            async with obstore.open_writer_async(self._backend, key, buffer_size=PART, max_concurrency=1) as writer:
+                yield writer
 
     async def stream(self, key: str, start: int, end: int) -> AsyncIterator[bytes]:
         """Yield the bytes from `start` up to, but not including, `end`."""

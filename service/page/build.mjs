@@ -9,7 +9,16 @@ const source = join(here, "src");
 const target = join(here, "built");
 
 // Packages whose code is in the bundle. fflate lies inside Spark's own file.
-const NOTICES = ["three", "@sparkjsdev/spark", "fflate"];
+const NOTICES = [
+  "three",
+  "@sparkjsdev/spark",
+  "fflate",
+  "tus-js-client",
+  "js-base64",
+  "querystringify",
+  "requires-port",
+  "url-parse",
+];
 
 async function bundle() {
   const result = await build({
@@ -37,6 +46,7 @@ async function bundle() {
       .filter(([, output]) => output.entryPoint)
       .map(([path, output]) => [output.entryPoint, relative("built", path)]),
   );
+  checkNotices(result.metafile);
   files.set("index.html", await page(names));
   files.set("report.html", await readFile(join(source, "report.html")));
   files.set("icon.svg", await readFile(join(source, "icon.svg")));
@@ -52,12 +62,19 @@ async function page(names) {
   return Buffer.from(filled);
 }
 
+function checkNotices(metafile) {
+  const bundled = Object.keys(metafile.inputs).map((path) => /node_modules\/((?:@[^/]+\/)?[^/]+)/.exec(path)?.[1]);
+  const missing = [...new Set(bundled)].filter((name) => name !== undefined && !NOTICES.includes(name));
+  if (missing.length > 0) throw new Error(`NOTICES lacks ${missing.join(", ")}, whose code is in the bundle`);
+}
+
 async function notices() {
   const parts = await Promise.all(
     NOTICES.map(async (name) => {
       const folder = join(here, "node_modules", name);
       const { version, license } = JSON.parse(await readFile(join(folder, "package.json"), "utf8"));
-      const text = await readFile(join(folder, "LICENSE"), "utf8");
+      const file = (await readdir(folder)).find((each) => /^LICENSE(\.md)?$/.test(each));
+      const text = await readFile(join(folder, file), "utf8");
       return `${name} ${version} (${license})\n\n${text.replaceAll("\r\n", "\n").trim()}\n`;
     }),
   );

@@ -3,25 +3,34 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
-from fastapi.responses import JSONResponse, StreamingResponse
-from pydantic import ValidationError
+from fastapi.responses import StreamingResponse
 from redis import RedisError
 
-from service.contract.jobs import FOUND_CAMERAS, FOUND_OBJECT, upload_path
+from service.contract.archives import archive_path
+from service.contract.jobs import FOUND_CAMERAS, FOUND_OBJECT
 from service.contract.options import JobOptions
-from service.contract.queue import queue_for
 from service.contract.records import JobRecord, JobStatus, new_id, now
-from service.contract.webhooks import names_private_host
+from service.contract.telemetry import current_traceparent
 from service.events import EVENT_ID
 from service.parts import OwnerDep, Parts, PartsDep, SnapshotDep
 from service.polls import poll_answer
 from service.problems import Problem, answers
 from service.snapshots import Snapshot
+from service.submissions import (
+    LOCATION,
+    DryRunQuery,
+    OptionsQuery,
+    accepted,
+    answer,
+    check_room,
+    check_webhook,
+    enqueue,
+    parse_options,
+)
 from service.uploads import ARCHIVES, RAW_TYPES, Received, receive, too_large
 from service.views import JobList, JobView
 
@@ -53,7 +62,6 @@ _SUBMIT_BODY: dict[str, Any] = {
         },
     }
 }
-_LOCATION = {"Location": {"description": "The address of the job.", "schema": {"type": "string"}}}
 
 _EVENT = {
     "type": "object",
@@ -75,16 +83,6 @@ IdempotencyKey = Annotated[
         description="The same key with the same archive and options gives the same job; with others, 422.",
     ),
 ]
-OptionsQuery = Annotated[
-    str | None,
-    Query(max_length=16384, description="JobOptions as JSON text, if the body is the archive itself."),
-]
-
-
-DryRunQuery = Annotated[
-    bool,
-    Query(description="Only check the photographs and estimate what each preset takes; sets the option `dry_run`."),
-]
 RerunQuery = Annotated[
     str | None,
     Query(max_length=16384, description="JobOptions as JSON text; what it leaves out is as in the earlier job."),
@@ -96,7 +94,7 @@ RerunQuery = Annotated[
     status_code=202,
     response_model=JobView,
     openapi_extra=_SUBMIT_BODY,
-    responses={202: {"description": "The queued job.", "headers": _LOCATION}, **answers(408, 413, 415, 422, 429, 507)},
+    responses={202: {"description": "The queued job.", "headers": LOCATION}, **answers(408, 413, 415, 422, 429, 507)},
 )
 async def submit(
     request: Request,
@@ -107,25 +105,25 @@ async def submit(
     dry_run: DryRunQuery = False,
 ) -> Response:
     """Submit a capture: an archive (zip, tar, tar.gz, tar.zst) of photographs, or a video, and what to make of it."""
-    asked = _options(options)
-    _check_webhook(asked, parts)
-    await _room_for(request, owner, parts)
+    asked = parse_options(options)
+    check_webhook(asked, parts)
+    await _check_request_room(request, owner, parts)
     job = _job_id(owner, idempotency_key)
-    archive = upload_path(job, new_id())
+    archive = archive_path(job, new_id())
     received = await receive(request, parts.jobs.store, archive, parts.settings)
     try:
         if received.options is not None:
             if options is not None:
                 raise Problem(422, "bad_options", "expected options either in the query or in the body, got both")
-            asked = _options(received.options)
-            _check_webhook(asked, parts)
+            asked = parse_options(received.options)
+            check_webhook(asked, parts)
         asked = asked.model_copy(update={"dry_run": asked.dry_run or dry_run})
         record = _record(job, owner, asked, archive, received)
         kept = await run_in_threadpool(parts.jobs.create, record)
     except Exception:
-        await run_in_threadpool(parts.jobs.store.delete, archive)
+        await run_in_threadpool(parts.jobs.archives.delete, archive)
         raise
-    return await _accepted(parts, record, kept)
+    return await accepted(parts, record, kept)
 
 
 @router.get("", responses=answers(422))
@@ -179,14 +177,14 @@ async def cancel(snapshot: SnapshotDep, parts: PartsDep) -> Response:
     parts.snapshots.forget(job)
     now_known = await parts.snapshots.read(job)
     ended = now_known is not None and now_known.final and number == now_known.state.round
-    return await _answer(parts, job, 200 if ended else 202, {})
+    return await answer(parts, job, 200 if ended else 202, {})
 
 
 @router.post(
     "/{job_id}/retry",
     response_model=JobView,
     status_code=202,
-    responses={202: {"description": "The job, which is queued again.", "headers": _LOCATION}, **answers(404, 409, 422)},
+    responses={202: {"description": "The job, which is queued again.", "headers": LOCATION}, **answers(404, 409, 422)},
 )
 async def retry(snapshot: SnapshotDep, parts: PartsDep) -> Response:
     """Take up a job that failed or was cancelled, from its last checkpoint."""
@@ -203,18 +201,20 @@ async def retry(snapshot: SnapshotDep, parts: PartsDep) -> Response:
             f"job {job} would fail again ({outcome.error.code}); fix the capture and submit it again",
         )
     await run_in_threadpool(parts.jobs.ask_retry, job, state.round + 1)
-    await _enqueue(parts, state.record, state.round + 1)
-    return await _answer(parts, job, 202, {})
+    await enqueue(parts, state.record, state.round + 1)
+    return await answer(parts, job, 202, {})
 
 
 @router.post(
     "/{job_id}/rerun",
     response_model=JobView,
     status_code=202,
-    responses={202: {"description": "The new job, queued.", "headers": _LOCATION}, **answers(404, 410, 422, 429, 507)},
+    responses={
+        202: {"description": "The new job, queued.", "headers": LOCATION},
+        **answers(404, 410, 413, 422, 429, 507),
+    },
 )
 async def rerun(
-    request: Request,
     snapshot: SnapshotDep,
     owner: OwnerDep,
     parts: PartsDep,
@@ -224,15 +224,15 @@ async def rerun(
     """Submit the archive of an earlier job again, with other options. Found cameras and masks are taken over."""
     source = snapshot.state.record
     asked = _changed_options(source.options, options)
-    _check_webhook(asked, parts)
-    await _room_for(request, owner, parts)
+    check_webhook(asked, parts)
+    await check_room(source.archive_bytes, owner, parts)
     record = _rerun_record(_job_id(owner, idempotency_key), source, asked)
     try:
         kept = await run_in_threadpool(_file_rerun, parts, source, record)
     except Exception:
-        await run_in_threadpool(parts.jobs.store.delete, record.archive)
+        await run_in_threadpool(parts.jobs.archives.delete, record.archive)
         raise
-    return await _accepted(parts, record, kept)
+    return await accepted(parts, record, kept)
 
 
 @router.delete(
@@ -241,13 +241,25 @@ async def rerun(
     responses={204: {"description": "The job and its files are deleted."}, **answers(404, 409, 422)},
 )
 async def remove(snapshot: SnapshotDep, parts: PartsDep) -> None:
-    """Remove a job that has ended, with its archive and results. The service removes nothing by itself."""
+    """Remove a job that has ended, with its archive and results."""
     job = snapshot.state.record.id
     state = await run_in_threadpool(parts.jobs.state, job)
     if state is not None and state.outcome is None:
         raise Problem(409, "job_open", f"job {job} is queued or running; cancel it first (DELETE /jobs/{job})")
     await run_in_threadpool(_remove, parts, snapshot.state.record)
     parts.snapshots.forget(job)
+
+
+@router.put("/{job_id}/pin", response_model=JobView, responses=answers(404, 422))
+async def pin(snapshot: SnapshotDep, parts: PartsDep) -> Response:
+    """Keep a job, however long ago it ended, until it is unpinned or removed."""
+    return await _set_pin(snapshot, parts, True)
+
+
+@router.delete("/{job_id}/pin", response_model=JobView, responses=answers(404, 422))
+async def unpin(snapshot: SnapshotDep, parts: PartsDep) -> Response:
+    """Let a job go after its retention, like others."""
+    return await _set_pin(snapshot, parts, False)
 
 
 @router.get(
@@ -275,12 +287,10 @@ async def events(
     )
 
 
-def _options(text: str | None) -> JobOptions:
-    try:
-        return JobOptions.model_validate_json(text) if text else JobOptions()
-    except ValidationError as error:
-        found = [f"{'.'.join(str(part) for part in item['loc'])}: {item['msg']}" for item in error.errors()]
-        raise Problem(422, "bad_options", "; ".join(found)[:4000]) from error
+async def _set_pin(snapshot: Snapshot, parts: Parts, pinned: bool) -> Response:
+    job = snapshot.state.record.id
+    await run_in_threadpool(parts.jobs.pin, job, pinned)
+    return await answer(parts, job, 200, {})
 
 
 def _changed_options(earlier: JobOptions, text: str | None) -> JobOptions:
@@ -288,42 +298,18 @@ def _changed_options(earlier: JobOptions, text: str | None) -> JobOptions:
 
     A dry run is followed by a run, unless the text asks for another one.
     """
-    changes = _options(text).model_dump(mode="json", exclude_unset=True)
+    changes = parse_options(text).model_dump(mode="json", exclude_unset=True)
     return JobOptions.model_validate(earlier.model_dump(mode="json") | {"dry_run": False} | changes)
 
 
-def _check_webhook(options: JobOptions, parts: Parts) -> None:
-    """Raise Problem for an address that no worker would call."""
-    if options.webhook is not None and not parts.settings.webhook_private and names_private_host(options.webhook):
-        raise Problem(
-            422,
-            "webhook_refused",
-            f"webhook: {options.webhook} is on this machine or its network; the service calls such addresses only "
-            "with MGSR_WEBHOOK_PRIVATE=1",
-        )
-
-
-async def _room_for(request: Request, owner: str, parts: Parts) -> None:
-    """Raise Problem where the upload is too large, the disk too full, or too many of the owner's jobs wait."""
-    settings, folder = parts.settings, parts.jobs.store.folder
+async def _check_request_room(request: Request, owner: str, parts: Parts) -> None:
+    """Raise Problem where the request is too large, or its owner may not submit it now."""
+    limit = parts.settings.max_upload
     text = request.headers.get("content-length", "0")
     length = int(text) if text.isascii() and text.isdigit() else 0
-    if length > settings.max_upload + (1 << 20):  # the multipart frame around it
-        raise too_large(settings.max_upload)
-    if folder is not None and shutil.disk_usage(folder).free < length + settings.min_free_disk:
-        raise Problem(
-            507,
-            "disk_full",
-            "the disk of the service has no space for this upload; delete jobs (DELETE /jobs/{id}/data) or add space",
-        )
-    opened = await run_in_threadpool(parts.jobs.open_of, owner)
-    if opened >= settings.max_open_jobs:
-        raise Problem(
-            429,
-            "queue_full",
-            f"{opened} of your jobs are queued or running, which is the limit; wait until one ends",
-            {"Retry-After": "60"},
-        )
+    if length > limit + (1 << 20):  # the multipart frame around it
+        raise too_large(limit)
+    await check_room(length, owner, parts)
 
 
 def _job_id(owner: str, idempotency_key: str | None) -> str:
@@ -346,13 +332,15 @@ def _record(job: str, owner: str, options: JobOptions, archive: str, received: R
         archive=archive,
         archive_bytes=received.size,
         payload_sha256=payload,
+        traceparent=current_traceparent(),
     )
 
 
 def _rerun_record(job: str, source: JobRecord, options: JobOptions) -> JobRecord:
     payload = hashlib.sha256(f"rerun {source.id}\0{options.model_dump_json()}".encode()).hexdigest()
     changes = {"id": job, "created": now(), "options": options, "payload_sha256": payload, "rerun_of": source.id}
-    return source.model_copy(update=changes | {"archive": upload_path(job, new_id())})
+    changes["traceparent"] = current_traceparent()
+    return source.model_copy(update=changes | {"archive": archive_path(job, new_id())})
 
 
 def _file_rerun(parts: Parts, source: JobRecord, record: JobRecord) -> JobRecord:
@@ -363,7 +351,7 @@ def _file_rerun(parts: Parts, source: JobRecord, record: JobRecord) -> JobRecord
     earlier = parts.jobs.record(record.id)
     if earlier is not None:
         return earlier
-    if not parts.jobs.store.copy(source.archive, record.archive):
+    if not parts.jobs.archives.copy(source.archive, record.archive):
         raise Problem(
             410, "archive_gone", f"the archive of job {source.id} is not in the store any more; submit it again"
         )
@@ -385,31 +373,6 @@ def _same_object(one: JobOptions, other: JobOptions) -> bool:
     return read[0] == read[1] and "time_budget" not in one.settings | other.settings
 
 
-async def _accepted(parts: Parts, record: JobRecord, kept: JobRecord) -> Response:
-    """Queue a new job, and answer with the job on file.
-
-    Raises Problem where its idempotency key belongs to another submit.
-    """
-    if kept.archive == record.archive:
-        await _enqueue(parts, record, 0)
-        return await _answer(parts, record.id, 202, {})
-    await run_in_threadpool(parts.jobs.store.delete, record.archive)
-    if kept.payload_sha256 != record.payload_sha256:
-        raise Problem(
-            422,
-            "idempotency_conflict",
-            f"this Idempotency-Key belongs to job {kept.id}, which has another archive or other options",
-        )
-    return await _answer(parts, record.id, 202, {"Idempotency-Replayed": "true"})
-
-
-async def _enqueue(parts: Parts, record: JobRecord, number: int) -> None:
-    try:
-        await run_in_threadpool(parts.queue.put, record.id, number, queue_for(record.options))
-    except RedisError:
-        return  # the job is in the store: recovery queues it once the server is back
-
-
 def _cancel(parts: Parts, job: str, number: int) -> None:
     """Ask for a cancel, in the store for good and in Redis for speed; cancel at once where no worker has the job."""
     parts.jobs.ask_cancel(job, number)
@@ -428,11 +391,3 @@ def _remove(parts: Parts, record: JobRecord) -> None:
         parts.live.forget(record.id)
     except RedisError:
         return  # it runs out by itself
-
-
-async def _answer(parts: Parts, job: str, status: int, headers: dict[str, str]) -> Response:
-    parts.snapshots.forget(job)
-    snapshot: Snapshot | None = await parts.snapshots.read(job)
-    assert snapshot is not None
-    body = snapshot.view.model_dump(mode="json")
-    return JSONResponse(body, status, {"Location": f"/jobs/{job}", **headers})

@@ -11,6 +11,14 @@ ROOT = Path(__file__).resolve().parents[2]
 NOTICES = (ROOT / "THIRD_PARTY.md").read_text(encoding="utf-8")
 
 
+# Packages that tus-js-client needs under Node. The build fails if the bundle has code of a package without a notice.
+NODE_ONLY = {
+    *("buffer-from", "combine-errors", "custom-error-instance", "graceful-fs", "is-stream", "proper-lockfile", "retry"),
+    *("signal-exit", "lodash.throttle", "lodash.uniqby", "lodash._baseiteratee", "lodash._basetostring"),
+    *("lodash._baseuniq", "lodash._createset", "lodash._root", "lodash._stringtopath"),
+}
+
+
 def test_the_licence_that_is_linked_in_is_there_word_for_word() -> None:
     nanobind = distribution("nanobind")
     text = next(file for file in nanobind.files or [] if file.name == "LICENSE").read_text()
@@ -24,6 +32,6 @@ def test_each_package_of_the_page_is_named() -> None:
     ]
     bundled = (ROOT / "service/page/built/NOTICES.txt").read_text(encoding="utf-8").lower()
     assert shipped
-    for name in shipped:
+    for name in set(shipped) - NODE_ONLY:
         last = re.sub(r"^@[\w-]+/", "", name)
         assert last in NOTICES.lower() and last in bundled, name

@@ -83,9 +83,9 @@ def test_what_is_no_file_of_the_page_is_a_problem(client: TestClient) -> None:
 
 def test_licences_of_all_that_is_bundled(client: TestClient) -> None:
     text = client.get("/page/NOTICES.txt").text
-    for name in ("three 0.183.2 (MIT)", "@sparkjsdev/spark 2.2.0 (MIT)", "fflate"):
+    for name in ("three 0.183.2 (MIT)", "@sparkjsdev/spark 2.2.0 (MIT)", "fflate", "tus-js-client 4.3.1 (MIT)"):
         assert name in text
-    assert text.count("Permission is hereby granted") == 3
+    assert text.count("Permission is hereby granted") == 7 and text.count("Redistributions in binary form") == 1
 
 
 def test_every_error_has_words() -> None:

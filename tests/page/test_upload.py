@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
+import random
 import re
 import tarfile
+import tempfile
 from pathlib import Path
-from urllib.parse import parse_qs, urlsplit
 
 import pytest
 from playwright.sync_api import FilePayload, Page, Route, expect
 
+from service.contract.archives import Archives
+from service.contract.jobs import Jobs
 from service.contract.settings import Settings
 from service.contract.store import Store
 from tests.page.browser import OTHER_NAME, until
 from tests.page.conftest import Opener
 from tests.page.puppet import Puppet
+from tests.service.hostile import Gate
 from tests.service.stack import Stack
 from tests.worker.archives import zip_of
 
@@ -42,10 +47,11 @@ def start(page: Page) -> dict[str, object]:
 def sent(service: Stack, job: str) -> bytes:
     """Return the archive as it lies in the store."""
     store = Store(Settings(home=service.folder, redis_url=service.server.url).store_url, 5.0)
-    (key,) = [entry.key for entry in store.entries("uploads") if job in entry.key]
-    data = store.read(key)
-    assert data is not None
-    return data
+    record = Jobs(store).record(job)
+    assert record is not None
+    with tempfile.NamedTemporaryFile() as file:
+        Archives(store).download(record.archive, Path(file.name))
+        return file.read()
 
 
 def members(archive: bytes) -> dict[str, bytes]:
@@ -71,8 +77,8 @@ def test_an_archive_with_the_options_that_were_chosen(visit: Opener) -> None:
         page.get_by_label("Close holes").select_option("on")
         page.get_by_text("Every setting").click()
         page.get_by_label("Seed").fill("7")
-        page.get_by_label("Find a setting").fill("shading ratio")
-        ratio = page.get_by_label("Shading ratio")
+        page.get_by_label("Find a setting").fill("light residual")
+        ratio = page.get_by_label("Max light residual")
         expect(ratio).to_have_attribute("placeholder", "none")  # as the draft has it
         ratio.fill("0.7")
         expect(page.get_by_label("Seed")).to_be_hidden()
@@ -97,7 +103,7 @@ def test_a_wrong_value_is_shown_wherever_it_is(visit: Opener, service: Stack) ->
         page.set_input_files(ARCHIVE, zip_file())
         page.get_by_text("More settings").click()
         page.get_by_text("Every setting").click()
-        wrong = page.get_by_label("Shading ratio")
+        wrong = page.get_by_label("Max light residual")
         wrong.fill("much")
         page.get_by_label("Find a setting").fill("seed")
         page.get_by_text("More settings").click()
@@ -132,8 +138,8 @@ def test_what_a_newer_service_knows_shows_up_by_itself(visit: Opener) -> None:
         urgency.select_option("high")
         with page.expect_request(lambda request: request.method == "POST") as sending:
             page.get_by_role("button", name="Start", exact=True).click()
-        (text,) = parse_qs(urlsplit(sending.value.url).query)["options"]
-        options = json.loads(text)
+        metadata = dict(pair.split(" ") for pair in sending.value.headers["upload-metadata"].split(","))
+        options = json.loads(base64.b64decode(metadata["options"]))
         assert options["settings"] == {"mesh.sparkle": 0.75} and options["urgency"] == "high"
         expect(page.get_by_role("alert")).to_contain_text("One of the options is invalid.")  # by this service
 
@@ -210,3 +216,27 @@ def test_progress_is_shown_and_an_upload_can_be_cancelled(visit: Opener, service
         page.get_by_role("button", name="Cancel upload").click()
         expect(bar).to_have_count(0)
     assert len(service.http.get("/jobs?limit=200").json()["jobs"]) == before
+
+
+def test_an_upload_that_is_cut_three_times_goes_on_by_itself(visit: Opener, service: Stack, tmp_path: Path) -> None:
+    """Break the page's connections while it sends; what arrives is what was picked."""
+    archive = zip_of(("noise.bin", random.Random(1).randbytes(40 << 20)), packed=False)
+    (tmp_path / "noise.zip").write_bytes(archive)
+    gate = Gate(service.port)
+    gate.open()
+    with visit(url=f"http://127.0.0.1:{gate.port}") as page:
+        devtools = page.context.new_cdp_session(page)
+        slow = {"offline": False, "latency": 0, "downloadThroughput": -1, "uploadThroughput": 8_000_000}
+        devtools.send("Network.enable")
+        devtools.send("Network.emulateNetworkConditions", slow)
+        page.set_input_files(ARCHIVE, tmp_path / "noise.zip")
+        page.get_by_role("button", name="Start", exact=True).click()
+        for share in (0.1, 0.4, 0.7):
+            until(page, f"document.querySelector('#upload progress').value > {share}")
+            gate.close()
+            page.wait_for_timeout(200)
+            gate.open()
+        page.wait_for_url(re.compile("#/jobs/"))
+        job = page.url.rpartition("/")[2]
+    gate.close()
+    assert sent(service, job) == archive

@@ -38,6 +38,9 @@ CHECKS = [
 ]
 
 
+# The bytes of a resumable upload go as they are.
+schemathesis.serializer.alias("application/offset+octet-stream", "application/octet-stream")
+
 # Addresses of 64 KiB are no HTTP to the server under the app, which refuses them in its own words.
 LONGEST = 30_000
 

@@ -14,7 +14,6 @@ import pytest
 from service.client.api import Client
 from service.client.submit import fetch_job
 from service.contract.jobs import TAKEN_OVER, Jobs, attempt_path
-from service.contract.options import JobOptions
 from service.contract.store import Store
 from tests.page.puppet import Puppet
 from tests.service.stack import Stack
@@ -132,7 +131,7 @@ def test_found_cameras_and_masks_are_taken_over(
 def test_the_client_runs_a_job_again(idle: Stack) -> None:
     first = idle.submitted(ARCHIVE, OPTIONS)
     with Client(idle.url, None) as client:
-        job = client.rerun(first, JobOptions(seed=7).model_dump_json(include={"seed"}))
+        job = client.rerun(first, {"seed": 7})
     assert job["options"]["seed"] == 7 and job["options"]["name"] == "vase" and job["rerun_of"] == first
 
 

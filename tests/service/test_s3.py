@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import random
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, suppress
@@ -14,49 +14,13 @@ from pathlib import Path
 import httpx
 import pytest
 
+from service.contract.jobs import Jobs
+from service.contract.store import Store
+from tests.service.hostile import Gate, RawRequest
 from tests.service.stack import LONG_OPTIONS, TINY, TINY_OPTIONS, Stack, free_port
+from tests.worker.archives import zip_of
 
 AWAY = 20.0
-
-
-class Gate:
-    """A port that forwards connections while it is open, and refuses and cuts them while it is closed."""
-
-    def __init__(self, target: int) -> None:
-        self.target, self.port = target, free_port()
-        self.listener: socket.socket | None = None
-        self.connections: set[socket.socket] = set()
-
-    def open(self) -> None:
-        """Let connections through."""
-        self.listener = socket.create_server(("127.0.0.1", self.port), backlog=100)
-        threading.Thread(target=self._accept, args=(self.listener,), daemon=True).start()
-
-    def close(self) -> None:
-        """Let nothing through any more."""
-        assert self.listener is not None
-        self.listener.shutdown(socket.SHUT_RDWR)
-        self.listener.close()
-        for connection in list(self.connections):
-            with suppress(OSError):
-                connection.shutdown(socket.SHUT_RDWR)
-
-    def _accept(self, listener: socket.socket) -> None:
-        with suppress(OSError):
-            while True:
-                outer, _ = listener.accept()
-                inner = socket.create_connection(("127.0.0.1", self.target))
-                self.connections |= {outer, inner}
-                for source, sink in ((outer, inner), (inner, outer)):
-                    threading.Thread(target=self._pump, args=(source, sink), daemon=True).start()
-
-    def _pump(self, source: socket.socket, sink: socket.socket) -> None:
-        with suppress(OSError):
-            while data := source.recv(1 << 16):
-                sink.sendall(data)
-        with suppress(OSError):
-            sink.shutdown(socket.SHUT_RDWR)
-        self.connections.discard(source)
 
 
 @pytest.fixture
@@ -120,6 +84,40 @@ def test_results_come_from_the_bucket_itself(
         stack.wait_until_ready(1)
         part = stack.http.get(f"/jobs/{job}/mesh.ply", headers={"Range": "bytes=0-2"})
         assert (part.status_code, part.content) == (206, b"ply")
+
+
+@pytest.mark.slow
+def test_a_resumable_upload_lies_in_the_bucket_as_parts(
+    bucket: tuple[dict[str, str], Gate], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cut the connection once; the bucket keeps what had arrived, copies it for a rerun, and deletes it."""
+    for name, value in bucket[0].items():
+        monkeypatch.setenv(name, value)
+    data = zip_of(("noise.bin", random.Random(1).randbytes(14 << 20)), packed=False)
+    jobs = Jobs(Store(bucket[0]["MGSR_STORE"], 5.0))
+    with Stack(tmp_path, 0, **bucket[0]) as stack:
+        tus = {"Tus-Resumable": "1.0.0"}
+        created = stack.http.post("/uploads", headers=tus | {"Upload-Length": str(len(data))})
+        address, kind = created.headers["Location"], "Content-Type: application/offset+octet-stream"
+        headers = (kind, "Tus-Resumable: 1.0.0", "Upload-Offset: 0", f"Content-Length: {len(data)}")
+        with RawRequest(stack.port, *headers, path=address, method="PATCH") as request:
+            request.send(data[: 11 << 20])
+        offset = 0
+        while offset == 0:
+            time.sleep(0.1)
+            offset = int(stack.http.head(address, headers=tus).headers["Upload-Offset"])
+        assert offset == 11 << 20
+        rest = tus | {"Upload-Offset": str(offset), "Content-Type": "application/offset+octet-stream"}
+        assert stack.http.patch(address, headers=rest, content=data[offset:]).status_code == 204
+        first = stack.http.post(f"{address}/job").json()["id"]
+        second = stack.http.post(f"/jobs/{first}/rerun").json()["id"]
+        stack.http.delete(f"/jobs/{first}")
+        assert stack.http.delete(f"/jobs/{first}/data").status_code == 204
+        (record,) = [found for job in (first, second) if (found := jobs.record(job)) is not None]
+    jobs.archives.download(record.archive, tmp_path / "archive")
+    assert (tmp_path / "archive").read_bytes() == data and len(jobs.archives.parts(record.archive)) == 2
+    jobs.archives.delete(record.archive)
+    assert jobs.store.names("uploads") == []
 
 
 @pytest.mark.slow

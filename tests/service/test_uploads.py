@@ -11,7 +11,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.contract.jobs import STALE_UPLOAD, Jobs
+from service.contract.archives import STALE_SECONDS
+from service.contract.jobs import Jobs
 from service.contract.store import Store
 from tests.service.hostile import RawRequest
 from tests.service.stack import TINY_OPTIONS, Stack
@@ -237,6 +238,6 @@ def test_what_a_killed_service_was_receiving_is_swept(tmp_path: Path) -> None:
     jobs.sweep_uploads()
     assert len(list(uploads.iterdir())) == 3
     for path in uploads.iterdir():
-        os.utime(path, (time.time() - 2 * STALE_UPLOAD,) * 2)
+        os.utime(path, (time.time() - 2 * STALE_SECONDS,) * 2)
     jobs.sweep_uploads()
     assert [path.name.split(".")[0] for path in uploads.iterdir()] == [kept]

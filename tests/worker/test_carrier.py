@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from service.contract.jobs import attempt_path
+from service.contract.jobs import Jobs, attempt_path
 from service.contract.settings import Settings
 from service.contract.store import Store
 from worker.attempt import Attempt
@@ -41,7 +41,7 @@ def fetched(store: Store, scratch: Path, attempt: int) -> dict[str, str]:
     store.upload("archive", _file(scratch / "given"))
     record = SimpleNamespace(id=JOB, archive="archive")
     itself: Any = Attempt.__new__(Attempt)
-    itself._context = SimpleNamespace(retrying_jobs=SimpleNamespace(store=store))
+    itself._context = SimpleNamespace(retrying_jobs=Jobs(store))
     itself._record, itself._attempt, itself._scratch = record, attempt, scratch
     itself._fetch()
     out = scratch / "out"

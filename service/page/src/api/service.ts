@@ -47,6 +47,12 @@ export class Service extends EventTarget {
     return this.json(`/jobs?limit=${limit}`);
   }
 
+  /** Make a job of a complete upload, which has the job's options; the same job again if it has one. */
+  async submitUpload(url: string): Promise<Job> {
+    const answer = await this.request(`${new URL(url, location.href).pathname}/job`, { method: "POST" });
+    return (await answer.json()) as Job;
+  }
+
   async cancel(job: string): Promise<void> {
     await this.request(`/jobs/${job}`, { method: "DELETE" });
   }
@@ -60,6 +66,11 @@ export class Service extends EventTarget {
     const query = encodeURIComponent(JSON.stringify(options));
     const answer = await this.request(`/jobs/${job}/rerun?options=${query}`, { method: "POST" });
     return ((await answer.json()) as Job).id;
+  }
+
+  /** Keep a job beyond the service's retention, or no longer. */
+  async pin(job: string, pinned: boolean): Promise<Job> {
+    return (await this.request(`/jobs/${job}/pin`, { method: pinned ? "PUT" : "DELETE" })).json() as Promise<Job>;
   }
 
   async remove(job: string): Promise<void> {

@@ -64,6 +64,10 @@ export interface Job extends Progress {
   created: string;
   finished: string | null;
   cancelling: boolean;
+  /** Whether it stays after the service's retention. */
+  pinned: boolean;
+  /** When the service deletes it; null where it stays. */
+  expires: string | null;
   curve: CurvePoint[];
   queue_position: number | null;
   /** The job whose archive this one took over. */

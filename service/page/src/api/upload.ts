@@ -1,42 +1,91 @@
-// Sends an archive. By XMLHttpRequest: fetch can't tell how far an upload has come.
+// Sends an archive in several requests, by the tus protocol: a broken connection costs only what was on its way.
 
-import { Unreachable, readProblem } from "./problem";
+import { DetailedError, Upload as TusUpload } from "tus-js-client";
+
+import { Problem, Unreachable, readProblem } from "./problem";
 import type { Service } from "./service";
 import type { Job, JobOptions } from "./types";
 
-export interface Upload {
-  archive: Blob;
-  /** Media type of the archive. */
-  type: string;
-  options: JobOptions;
-  /** The same for every try, so that a job whose answer got lost is not made twice. */
-  idempotencyKey: string;
-}
+const REQUEST_BYTES = 32 * 1024 * 1024;
+// Pauses after failures in a row, milliseconds.
+const PAUSES = [500, 1000, 2000, 4000, 8000, 8000, 8000];
+// Statuses after which the same bytes may be taken later: too slow, another offset, busy, away.
+const AGAIN = new Set([408, 409, 429, 502, 503, 504]);
 
-/** The job that the service makes of it. Throws Problem, Unreachable, or the signal's AbortError. */
-export function send(service: Service, upload: Upload, progress: (sent: number) => void, signal: AbortSignal): Promise<Job> {
-  return new Promise((resolve, reject) => {
-    const request = new XMLHttpRequest();
-    request.open("POST", `/jobs?options=${encodeURIComponent(JSON.stringify(upload.options))}`);
-    const headers = {
-      ...service.credentials,
-      "Content-Type": upload.type,
-      "Idempotency-Key": upload.idempotencyKey,
-    };
-    for (const [name, value] of Object.entries(headers)) request.setRequestHeader(name, value);
-    request.upload.onprogress = (event) => progress(event.loaded);
-    request.onload = () => {
-      if (request.status === 202) return resolve(JSON.parse(request.responseText) as Job);
-      const problem = readProblem(request.status, request.responseText);
-      service.refused(problem);
-      reject(problem);
-    };
-    request.onerror = () => {
-      service.connection.lost();
-      reject(new Unreachable());
-    };
-    request.onabort = () => reject(signal.reason);
-    signal.addEventListener("abort", () => request.abort());
-    request.send(upload.archive);
-  });
+/** An archive on its way. `send` can be called again after an error: it goes on where the service has it. */
+export class Upload {
+  private url: string | null = null;
+
+  constructor(
+    private readonly service: Service,
+    private readonly archive: Blob,
+    private readonly options: JobOptions,
+  ) {}
+
+  /** The job that the service makes of it. Throws Problem, Unreachable, or the signal's AbortError. */
+  async send(progress: (sent: number) => void, signal: AbortSignal): Promise<Job> {
+    try {
+      await this.transfer(progress, signal);
+      return await this.service.submitUpload(this.url!);
+    } catch (error) {
+      // What the service no longer has is sent from the start.
+      if (error instanceof Problem && (error.status === 404 || error.status === 410)) this.url = null;
+      throw error;
+    }
+  }
+
+  private transfer(progress: (sent: number) => void, signal: AbortSignal): Promise<void> {
+    return new Promise((resolve, reject) => {
+      const upload = new TusUpload(this.archive, {
+        endpoint: "/uploads",
+        uploadUrl: this.url,
+        chunkSize: REQUEST_BYTES,
+        retryDelays: PAUSES,
+        headers: this.service.credentials,
+        metadata: { options: JSON.stringify(this.options) },
+        storeFingerprintForResuming: false,
+        onUploadUrlAvailable: () => {
+          this.url = upload.url;
+        },
+        onProgress: progress,
+        onShouldRetry: (error) => this.mayPass(error),
+        onSuccess: () => resolve(),
+        onError: (error) => {
+          const understood = this.understood(error);
+          if (understood instanceof Problem && understood.status !== 401) this.giveUp();
+          reject(understood);
+        },
+      });
+      signal.addEventListener("abort", () => {
+        // Also what has arrived: the person wants none of it.
+        void upload.abort(true).catch(() => undefined);
+        reject(signal.reason);
+      });
+      upload.start();
+    });
+  }
+
+  /** Delete what the service has: it does not want the rest. */
+  private giveUp(): void {
+    if (this.url !== null) void TusUpload.terminate(this.url, { headers: this.service.credentials }).catch(() => undefined);
+    this.url = null;
+  }
+
+  /** Whether the same bytes may be taken later. */
+  private mayPass(error: DetailedError): boolean {
+    if (error.originalResponse !== null) return AGAIN.has(error.originalResponse.getStatus());
+    this.service.connection.lost();
+    return true;
+  }
+
+  private understood(error: Error | DetailedError): Error {
+    const answer = "originalResponse" in error ? error.originalResponse : null;
+    if (answer === null) {
+      this.service.connection.lost();
+      return new Unreachable();
+    }
+    const problem = readProblem(answer.getStatus(), answer.getBody());
+    this.service.refused(problem);
+    return problem;
+  }
 }

@@ -2,7 +2,7 @@
 
 import { Problem, Unreachable } from "../api/problem";
 import type { Job } from "../api/types";
-import { percent, timeLeft } from "./format";
+import { moment, percent, timeLeft } from "./format";
 
 const STATUS: Record<string, string> = {
   queued: "Waiting",
@@ -99,8 +99,17 @@ const TROUBLES: Record<string, string> = {
   field_unknown: "The upload has an unknown field.",
   options_too_large: "The options are too long.",
   upload_too_slow: "The upload was too slow, so the service stopped it. Send it again.",
+  upload_unknown: "The service no longer has this upload. Send it again.",
+  upload_expired: "The upload has expired. Send it again.",
+  upload_incomplete: "Not all of the upload has arrived. Send it again.",
+  upload_offset: "The service has another part of the upload. Send it again.",
+  upload_too_long: "The file has changed during the upload. Send it again.",
+  checksum_unsupported: "The service does not know this kind of checksum.",
+  checksum_mismatch: "The upload arrived damaged. Send it again.",
+  tus_version: "The service expects another version of this page. Reload it.",
   upload_cut: "The connection broke during the upload. Send it again.",
   queue_full: "You have reached the limit of open jobs. Wait until one ends.",
+  storage_full: "Your jobs would take more space than you have. Delete old ones.",
   disk_full: "The disk is full. Delete old jobs, or ask the administrator of the service.",
   store_unavailable: "The service cannot reach its storage. Try again soon.",
   queue_unavailable: "The service cannot reach its queue. Try again soon.",
@@ -138,6 +147,12 @@ export function remaining(job: Job, waited: number): string {
   if (job.eta_seconds !== null) return timeLeft(Math.max(0, job.eta_seconds - waited));
   if (job.step_eta_seconds === null) return "";
   return `for this step: ${timeLeft(Math.max(0, job.step_eta_seconds - waited))}`;
+}
+
+/** How long a job is kept; empty where nothing limits it. */
+export function stayWord(job: Job): string {
+  if (job.pinned) return "kept";
+  return job.expires === null ? "" : `will be deleted ${moment(job.expires)}`;
 }
 
 function queueWord(position: number | null): string {

@@ -9,7 +9,7 @@ import { h, setText } from "../parts/dom";
 import { moment } from "../parts/format";
 import { announce, errorBox } from "../parts/notice";
 import { pressButton } from "../parts/press";
-import { activity, nextPreset, statusWord } from "../parts/words";
+import { activity, nextPreset, statusWord, stayWord } from "../parts/words";
 import { estimateSection } from "./estimate";
 import { failureCard } from "./failure";
 import { FindingsSection } from "./findings";
@@ -83,8 +83,8 @@ class JobView {
     document.title = `${job.name ?? "Job"} · MGSR`;
     setText(this.status, job.cancelling ? "Stopping" : statusWord(job.status));
     this.status.dataset["status"] = job.status;
-    setText(this.about, `${job.options.preset ?? ""} · ${moment(job.created)}`);
-    if (before?.status !== job.status || before.cancelling !== job.cancelling) this.offerActions(job);
+    setText(this.about, [job.options.preset ?? "", moment(job.created), stayWord(job)].filter(Boolean).join(" · "));
+    if (!sameActions(before, job)) this.offerActions(job);
     this.findings.update(job.findings);
     if (job.finished === null) this.showLive(job);
     else if (before === null || before.finished !== job.finished) this.showEnd(job);
@@ -128,6 +128,8 @@ class JobView {
       if (again) shown.push(this.button("Retry", "main", () => this.retry()));
       const next = job.metrics.estimate === undefined ? nextPreset(job.options.preset ?? "standard") : null;
       if (next !== null) shown.push(this.button(`Run again as ${next}`, again ? "" : "main", () => this.rerun(next)));
+      if (job.expires !== null) shown.push(this.button("Keep", "", () => this.pin(true)));
+      if (job.pinned) shown.push(this.button("Keep no longer", "", () => this.pin(false)));
       shown.push(this.button("Delete", "", () => this.remove(job)));
     }
     const held = this.actions.contains(document.activeElement);
@@ -158,6 +160,10 @@ class JobView {
     location.hash = `#/jobs/${await this.service.rerun(this.id, { preset })}`;
   }
 
+  private async pin(pinned: boolean): Promise<void> {
+    this.show(await this.service.pin(this.id, pinned));
+  }
+
   private async remove(job: Job): Promise<void> {
     const text = "This deletes the photographs and all results of the job. You cannot undo it.";
     if (!(await confirmed(`Delete ${job.name ?? "this job"}?`, text, "Delete"))) return;
@@ -165,6 +171,12 @@ class JobView {
     announce("Deleted");
     location.hash = "#/";
   }
+}
+
+/** Whether two states of a job offer the same buttons. */
+function sameActions(before: Job | null, job: Job): boolean {
+  const names = ["status", "cancelling", "pinned", "expires"] as const;
+  return before !== null && names.every((name) => before[name] === job[name]);
 }
 
 /** The job's curve with the point that a change brings. */

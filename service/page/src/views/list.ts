@@ -6,7 +6,7 @@ import type { Job } from "../api/types";
 import { h, setText } from "../parts/dom";
 import { moment, percent } from "../parts/format";
 import { errorBox } from "../parts/notice";
-import { activity, remaining, statusWord } from "../parts/words";
+import { activity, remaining, statusWord, stayWord } from "../parts/words";
 
 const PAGE = 20;
 const BUSY_PERIOD = 2000;
@@ -102,10 +102,14 @@ class Row {
     const running = job.status === "running";
     setText(this.status, statusWord(job.status));
     this.status.dataset["status"] = job.status;
-    setText(this.note, running ? describe(job) : job.status === "queued" ? activity(job) : moment(job.created));
+    setText(this.note, running ? describe(job) : job.status === "queued" ? activity(job) : ended(job));
     this.bar.hidden = !running;
     this.bar.value = job.progress;
   }
+}
+
+function ended(job: Job): string {
+  return [moment(job.created), stayWord(job)].filter(Boolean).join(" · ");
 }
 
 function describe(job: Job): string {

@@ -3,16 +3,11 @@
 import { isAbort } from "../api/problem";
 import type { Service } from "../api/service";
 import type { Job, JobOptions } from "../api/types";
-import { send } from "../api/upload";
+import { Upload } from "../api/upload";
 import type { Capture } from "../archive/capture";
 import { h, setText } from "../parts/dom";
 import { bytes, duration, percent } from "../parts/format";
 import { announce, errorBox } from "../parts/notice";
-
-/** A key that is used once. (crypto.randomUUID is missing where the page comes over plain http from another machine.) */
-function newKey(): string {
-  return [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
-}
 
 export class UploadTray {
   private running: AbortController | null = null;
@@ -33,21 +28,24 @@ export class UploadTray {
     return this.running !== null;
   }
 
-  /** Send a capture; trouble is shown, with a way to try again. */
-  async start(capture: Capture, options: JobOptions, idempotencyKey = newKey()): Promise<void> {
+  /** Send a capture; trouble is shown, with a way to go on. */
+  async start(capture: Capture, options: JobOptions): Promise<void> {
+    await this.send(capture, new Upload(this.service, capture.archive, options));
+  }
+
+  private async send(capture: Capture, upload: Upload): Promise<void> {
     const stop = new AbortController();
     this.running = stop;
-    const { type, archive } = capture;
     const progress = this.show(capture, stop);
     announce(`Sending ${capture.name}`);
     try {
-      const job = await send(this.service, { archive, type, options, idempotencyKey }, progress, stop.signal);
+      const job = await upload.send(progress, stop.signal);
       this.done();
       announce(`${capture.name} has arrived`);
       this.arrived(job);
     } catch (error) {
       this.done();
-      if (!isAbort(error)) this.fail(error, () => this.start(capture, options, idempotencyKey));
+      if (!isAbort(error)) this.fail(error, () => void this.send(capture, upload));
       else announce("The upload was cancelled");
     }
   }

@@ -1,0 +1,67 @@
+"""The client for programs that use asyncio: the same methods, to be awaited. Each call works in a thread."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from service.client.api import Client, Job, Progress, ignore
+
+
+class AsyncClient:
+    """One service. Use in `async with`. Raises as Client does. Progress is told in the thread of the event loop."""
+
+    def __init__(self, server: str, key: str | None = None) -> None:
+        self._client = Client(server, key)
+
+    async def __aenter__(self) -> AsyncClient:
+        return self
+
+    async def __aexit__(self, *trouble: object) -> None:
+        await asyncio.to_thread(self._client.close)
+
+    async def submit(self, scene: Path, options: Mapping[str, Any], sent: Progress = ignore) -> Job:
+        """Send a folder or an archive of photographs, or a video, and return the job."""
+        return await asyncio.to_thread(self._client.submit, scene, options, _in_loop(sent))
+
+    async def rerun(self, job: str, options: Mapping[str, Any]) -> Job:
+        """Send the archive of an earlier job again, with these options in place of its own; return the new job."""
+        return await asyncio.to_thread(self._client.rerun, job, options)
+
+    async def jobs(self, limit: int = 50) -> list[Job]:
+        """Return your jobs, the newest first."""
+        return await asyncio.to_thread(self._client.jobs, limit)
+
+    async def job(self, job: str) -> Job:
+        """Return the job's current state."""
+        return await asyncio.to_thread(self._client.job, job)
+
+    async def pin(self, job: str, pinned: bool = True) -> Job:
+        """Keep a job beyond the service's retention, or no longer."""
+        return await asyncio.to_thread(self._client.pin, job, pinned)
+
+    async def cancel(self, job: str) -> Job:
+        """Ask the service to cancel the job."""
+        return await asyncio.to_thread(self._client.cancel, job)
+
+    async def follow(self, job: str) -> AsyncIterator[Job]:
+        """Yield the job's fields as they change, the whole job last; resume if the connection ends."""
+        states = self._client.follow(job)
+        while (state := await asyncio.to_thread(next, states, None)) is not None:
+            yield state
+
+    async def fetch(self, job: str, out: Path, got: Progress = ignore) -> list[Path]:
+        """Fetch every result of a job into a folder, and return the files."""
+        return await asyncio.to_thread(self._client.fetch, job, out, _in_loop(got))
+
+
+def _in_loop(tell: Progress) -> Callable[[int, int], None]:
+    """Return a function for other threads that has the event loop tell of progress."""
+    loop = asyncio.get_running_loop()
+
+    def told(done: int, total: int) -> None:
+        loop.call_soon_threadsafe(tell, done, total)
+
+    return told

@@ -49,7 +49,7 @@ TextureOption = Annotated[
     typer.Option(metavar="TEXELS", help="Make model.glb's maps so many texels wide, such as 2048."),
 ]
 ObjOption = Annotated[bool, typer.Option("--obj", help="Also write mesh.obj.")]
-UsdzOption = Annotated[bool, typer.Option("--usdz", help="Also write model.usdz (pip install 'mgsr[usd]').")]
+UsdzOption = Annotated[bool, typer.Option("--usdz", help="Also write model.usdz (pip install 'mgsr\\[usd]').")]
 UpOption = Annotated[
     Up | None, typer.Option(help="The axis of the capture's frame that points up. It becomes y in .glb files.")
 ]

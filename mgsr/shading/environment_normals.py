@@ -85,7 +85,7 @@ def _squared_tilts(frames: np.ndarray, tilts: np.ndarray, normals: np.ndarray) -
     first, second, along = np.einsum("pai,pi->ap", frames, normals)
     across = tilts[:, None, None] * first + tilts[None, :, None] * second + along
     lengths = 1 + tilts[:, None] ** 2 + tilts[None] ** 2
-    squares = lengths[..., None] / np.maximum(across, 1e-3) ** 2 - 1
+    squares: np.ndarray = lengths[..., None] / np.maximum(across, 1e-3) ** 2 - 1
     return squares.reshape(-1, len(normals)).T
 
 

@@ -19,7 +19,7 @@ from service.contract.settings import Settings
 from service.contract.telemetry import ENDPOINTS, open_telemetry
 from tests.service.stack import TINY_OPTIONS, Stack
 from tests.worker.archives import zip_of
-from worker.rq_worker import MgsrWorker, StopWish
+from worker.rq_worker import MgsrWorker, StopSignals
 
 ARCHIVE = zip_of(("readme.txt", b"nothing"))  # which the job refuses once it has unpacked it
 
@@ -52,7 +52,7 @@ def test_request_queue_job_and_steps_are_one_trace(settings: Settings) -> None:
         headers={"Content-Type": "application/zip"},
     )
     assert answer.status_code == 202
-    MgsrWorker(["cpu"], settings, StopWish(), provider).work(burst=True, logging_level="WARNING")
+    MgsrWorker(["cpu"], settings, StopSignals(), provider).work(burst=True, logging_level="WARNING")
     spans: dict[str, ReadableSpan] = {span.name: span for span in exporter.get_finished_spans()}
     request, queue, job = spans["POST /jobs"], spans["queue"], spans["job"]
     steps = [span for name, span in spans.items() if name.startswith("step ")]

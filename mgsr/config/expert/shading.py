@@ -175,9 +175,9 @@ class PhotometricOptions(Options):
     """The photometric refinement. Source: Lucas and Kanade 1981; Vu and others 2012."""
 
     edge: Positive = 1.5  # pixels; edge length of the mesh at whose vertices the photographs are sampled
-    coarse_edge: Positive = 4.0  # pixels; edge length of the mesh that carries the smooth displacements
+    coarse_edge: Positive = 3.0  # pixels; edge length of the mesh that carries the smooth displacements
     max_faces: Count = MAX_FACES  # of either mesh
-    rounds: WholeNumber = 3  # of sampling the photographs and moving the vertices
+    rounds: WholeNumber = 4  # of sampling the photographs and moving the vertices
     limit: NotNegative = 1.0  # pixels; largest move of a vertex in a round
     noise_reach: NotNegative = 3.0  # pixels over which the residual variance is averaged
     outlier: Positive = 3.0  # deviations at which an observation counts half

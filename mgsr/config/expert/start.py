@@ -26,7 +26,7 @@ class FirstSurfaceOptions(Options):
     disbelieved: Positive = 0.3  # octaves by which stereo's residual may exceed the hull's before its depths lose all
     # weight
     coarse_scale: Annotated[float, Range(0, 1, open=True)] = 0.5  # of the photographs' sides for the coarser stereo
-    photometric_reach: Positive = 12.0  # pixels over which the photometric refinement spreads a displacement
+    photometric_reach: Positive = 5.0  # pixels over which the photometric refinement spreads a displacement
     flash_coarse: ShadingPass = field(default_factory=lambda: ShadingPass(edge=2.0, rounds=6, reach=160.0))
     flash_fine: ShadingPass = field(default_factory=lambda: ShadingPass(edge=1.5, rounds=3, reach=60.0))
     environment_repeats: Count = 3  # times that the pass environment_coarse is run

@@ -36,8 +36,8 @@ class PhotometricRefinement(MeshStep):
         if config.max_light_residual is None or not held:
             return 0.0
         if facts.flash:
-            return 16.5 * reading_size(facts, config)
-        return 10.0 * reading_size(facts, config) if self.turn == 1 else 0.0
+            return 22.0 * reading_size(facts, config)
+        return 13.0 * reading_size(facts, config) if self.turn == 1 else 0.0
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
         reach = context.config.photometric_reach or 0.0

@@ -60,7 +60,7 @@ async def append(
     whole request. Raises Problem: 408 too slow, 413 too many bytes, 422 unknown type, 460 another checksum; and
     ClientDisconnect.
     """
-    body = _Body(timed(request.stream(), settings), state, checksum)
+    body = _AppendedBody(timed(request.stream(), settings), state, checksum)
     end, keys = state.offset, []
     try:
         while chunk := await body.read():
@@ -78,7 +78,7 @@ async def append(
     return end
 
 
-async def _write_part(store: Store, key: str, chunk: bytes, body: _Body) -> int:
+async def _write_part(store: Store, key: str, chunk: bytes, body: _AppendedBody) -> int:
     """Write one part from this chunk on; return its size."""
     size = 0
     async with store.writer(key) as writer:
@@ -89,7 +89,7 @@ async def _write_part(store: Store, key: str, chunk: bytes, body: _Body) -> int:
     return size
 
 
-class _Body:
+class _AppendedBody:
     """A request's bytes, counted and looked at. trouble: what ended them early."""
 
     def __init__(self, chunks: AsyncIterator[bytes], state: UploadState, checksum: Checksum | None) -> None:

@@ -38,7 +38,7 @@ def ignore(done: int, total: int) -> None:
     """Ignore progress."""
 
 
-class _Counter:
+class _TransferCounter:
     """Counts bytes, and tells how many there are."""
 
     def __init__(self, total: int, tell: Progress) -> None:
@@ -91,12 +91,12 @@ class Client:
         no scene.
         """
         with packed(scene) as archive:
-            counter = _Counter(archive.stat().st_size, sent)
+            counter = _TransferCounter(archive.stat().st_size, sent)
             if counter.total > REQUEST_BYTES:
                 return self._submit_resumable(archive, json.dumps(options), counter)
             return self._submit_at_once(archive, json.dumps(options), counter)
 
-    def _submit_at_once(self, archive: Path, options: str, counter: _Counter) -> Job:
+    def _submit_at_once(self, archive: Path, options: str, counter: _TransferCounter) -> Job:
         key = uuid.uuid4().hex
 
         def send() -> httpx.Response:
@@ -111,7 +111,7 @@ class Client:
         created: Job = _again(send).json()
         return created
 
-    def _submit_resumable(self, archive: Path, options: str, counter: _Counter) -> Job:
+    def _submit_resumable(self, archive: Path, options: str, counter: _TransferCounter) -> Job:
         metadata = f"options {base64.b64encode(options.encode()).decode()}"
         headers = _TUS | {"Upload-Length": str(counter.total), "Upload-Metadata": metadata}
         address = _again(lambda: self._http.post("/uploads", headers=headers)).headers["Location"]
@@ -124,7 +124,7 @@ class Client:
         created: Job = _again(lambda: self._http.post(f"{address}/job")).json()
         return created
 
-    def _send_parts(self, address: str, archive: Path, counter: _Counter) -> None:
+    def _send_parts(self, address: str, archive: Path, counter: _TransferCounter) -> None:
         """Send an archive to an upload, from where the service has it after each break."""
         arrived = failures = 0
         while arrived < counter.total:
@@ -140,7 +140,7 @@ class Client:
                 known, arrived = arrived, int(head.headers["Upload-Offset"])
                 failures = 0 if arrived > known else failures
 
-    def _append(self, address: str, archive: Path, begin: int, counter: _Counter) -> httpx.Response:
+    def _append(self, address: str, archive: Path, begin: int, counter: _TransferCounter) -> httpx.Response:
         """Send the next bytes of an upload."""
         counter.done = begin
         end = min(begin + REQUEST_BYTES, counter.total)
@@ -189,7 +189,7 @@ class Client:
         got: told of the bytes fetched so far and of all. Raises DamagedDownload.
         """
         artifacts = self.artifacts(job)
-        counter = _Counter(sum(artifact["size"] for artifact in artifacts), got)
+        counter = _TransferCounter(sum(artifact["size"] for artifact in artifacts), got)
         for artifact in artifacts:
             self.download(job, artifact, out / artifact["name"], counter.add)
         return [out / artifact["name"] for artifact in artifacts]
@@ -309,7 +309,7 @@ def _body_headers(kind: str, size: int) -> dict[str, str]:
     return {"Content-Type": kind, "Content-Length": str(size)}
 
 
-def _chunks(path: Path, counter: _Counter, end: int) -> Iterator[bytes]:
+def _chunks(path: Path, counter: _TransferCounter, end: int) -> Iterator[bytes]:
     """Yield the file's bytes from where the counter stands up to `end`."""
     with path.open("rb") as file:
         file.seek(counter.done)

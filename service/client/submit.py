@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
 
 from service.client.api import Client, DamagedDownload, Job, ServiceRefusal
+from service.client.packing import packed
 from service.contract.errors import SetupError
 from service.contract.options import JobOptions
 
@@ -29,8 +30,9 @@ def submit_scene(server: str, key: str | None, scene: Path, options: JobOptions,
     """
 
     def talk(client: Client, console: Console) -> int:
-        client.check()
-        job = _send(client, scene, options, console)
+        with packed(scene) as archive:
+            client.check()
+            job = _send(client, archive, options, console)
         return _sent(job, client, server, out, console)
 
     return _talk(server, key, talk)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -24,17 +25,18 @@ def film(path: Path, frames: Iterable[Any], turn: int = 0, **tags: int) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w") as container:
         stream: Any = None
-        for frame in frames:
+        for number, frame in enumerate(frames):
             item = av.VideoFrame.from_ndarray(frame, format="rgb24") if isinstance(frame, np.ndarray) else frame
             if stream is None:
                 stream = _stream(container, CODECS[path.suffix], item, turn, tags)
+            item.pts, item.time_base = number, Fraction(1, 30)
             container.mux(stream.encode(item))
         container.mux(stream.encode())
     return path
 
 
 def _stream(container: Any, codec: str, frame: Any, turn: int, tags: Mapping[str, int]) -> Any:
-    options = {"crf": "6"} | ({"x265-params": "log-level=none"} if codec == "libx265" else {})
+    options = {"crf": "6"} | ({"x265-params": "log-level=none:bframes=0"} if codec == "libx265" else {})
     stream = container.add_stream(codec, rate=30, options=options)
     stream.width, stream.height = frame.width, frame.height
     stream.pix_fmt = "yuv420p" if frame.format.name == "rgb24" else frame.format.name

@@ -37,6 +37,7 @@ def serve_api(host: str, port: int) -> None:
     from service.app import create_app
     from service.contract.settings import Settings
     from service.contract.telemetry import open_telemetry
+    from service.protocol import PatientProtocol
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
     app = create_app(Settings(), open_telemetry("mgsr-service"))
@@ -49,6 +50,7 @@ def serve_api(host: str, port: int) -> None:
         app,
         host=host,
         port=port,
+        http=PatientProtocol,
         log_level="warning",
         access_log=False,
         timeout_graceful_shutdown=3,

@@ -31,7 +31,7 @@ SHORT = [
     "model_selection.iterations=0",
 ]
 FEW = [
-    *("search.iterations=1000", "exposure=keep"),
+    "exposure=keep",
     "surfels.max_start=4000",
     "gaussians.max_start=2000",
     "environment_map.iterations=0",

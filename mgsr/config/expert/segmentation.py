@@ -88,7 +88,7 @@ class ObjectSearchOptions(Options):
 
     side: Count = 480  # pixels; longer side of the small photographs, for training and for the search
     fine_side: Count = 960  # pixels; longer side of the photographs for the final masks
-    iterations: Count = 400  # of the training
+    iterations: Count = 800  # of the training
     rounds: Count = 3  # of refining masks, hull and surfels
     first_dissent: Share = 0.1  # share of the masks that may exclude a place of the hull, in the first round
     last_dissent: Share = 0.06  # the same in the last round

@@ -182,7 +182,7 @@ class PhotometricOptions(Options):
     noise_reach: NotNegative = 3.0  # pixels over which the residual variance is averaged
     outlier: Positive = 3.0  # deviations at which an observation counts half
     mix_views: Count = 16  # most photographs for the choice of the channel mix
-    mirrored: Positive = 0.25  # times the noise; mirrored detail of this size halves an observation's weight
+    mirrored: Positive = 0.1  # times the noise; mirrored detail of this size halves an observation's weight
     precision: Positive = 0.3  # pixels; standard deviation of a displacement that has weight 1 in the thin plate
     contour_precision: Positive = 0.1  # pixels; standard deviation of a mask's contour
     prior_weight: Positive = 1e-4  # of a displacement of 0, for vertices without observations

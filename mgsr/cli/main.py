@@ -61,7 +61,7 @@ def info(scene: SceneArgument, settings: SetOption = None) -> None:
         if found.kind is None:
             facts = facts_without_cameras(found)
         else:
-            facts = scene_facts(load_capture(found, config.data)).to_json()
+            facts = scene_facts(load_capture(found, config.data, options=config.expert.data)).to_json()
         for name, value in facts.items():
             print(f"{name:16} {', '.join(map(str, value)) if isinstance(value, list) else value}")
 
@@ -81,7 +81,7 @@ def check(
         from mgsr.pipeline.run_metadata import scene_line
         from mgsr.pipeline.scene_check import summary
 
-        found = load_scene(scene, config.data)
+        found = load_scene(scene, config.data, options=config.expert.data)
         inspection = inspect_scene(found, options=config.expert.inspection)
         if as_json:
             print(json.dumps(inspection.to_json(), indent=2))

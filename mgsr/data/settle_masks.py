@@ -175,8 +175,7 @@ def _unused_masks(train: Sequence[View], beside: bool) -> tuple[str, ...]:
 
 
 def _with_an_object(train: list[View]) -> tuple[list[View], tuple[str, ...]]:
-    """Return the views with non-empty masks, and a note on the others. Raises SceneError where most are
-    empty."""
+    """Return the views with non-empty masks, and a note on the others. Raises SceneError where most are empty."""
     shown = [view for view in train if not _empty(view)]
     if len(shown) == len(train):
         return train, ()
@@ -184,8 +183,8 @@ def _with_an_object(train: list[View]) -> tuple[list[View], tuple[str, ...]]:
     count = f"the masks of {len(train) - len(shown)} of {len(train)} training views are empty"
     if len(shown) < max(2, len(train) / 2):
         raise SceneError(
-            f"{count}: the largest value in that of {first.name!r} is {_brightest(first)} of 255, and 128 or more is "
-            "the object; make them white on the object, or run with masks=off"
+            f"{count}: values of 128 and more are the object, and the mask of {first.name!r} has at most "
+            f"{_brightest(first)}; make the masks white on the object, or run with masks=off"
         )
     return shown, (f"{count} ({first.name!r}); these views are skipped",)
 

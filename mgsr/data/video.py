@@ -160,7 +160,7 @@ def _check_streams(path: Path, container: Any) -> None:
     known = {"dav1d": "av1", "vpx": "vp9"}
     if known.get(name or "", name) not in _CODECS:
         cure = "convert it with `ffmpeg -i VIDEO -c:v libx264 -crf 15 VIDEO.mp4`"
-        raise SceneError(f"{path.name}: videos by the codec {name} are not read, but H.264, HEVC, VP9 and AV1; {cure}")
+        raise SceneError(f"{path.name}: expected H.264, HEVC, VP8, VP9 or AV1 video, got the codec {name}; {cure}")
 
 
 def _check_declared(video: Video, container: Any, limits: VideoLimits) -> None:

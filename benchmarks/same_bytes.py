@@ -7,8 +7,8 @@ BEFORE, AFTER: checkouts whose kernels are built. Each reconstructs every SCENE,
 OUT/before and OUT/after; `--example` adds the example capture of BEFORE. Without `-o`, the two folders are results that
 are there already. A line a scene says how many files are equal, or which differ. The exit code is 1 if any does.
 
-A log and a report hold times. Logs and report.html are therefore left out, and of report.json what differs between two
-equal runs. Settings that only one checkout has are named, but do not count as a difference.
+Logs, reports and checkpoints hold times. log.txt, report.html and checkpoint are therefore left out, and of report.json
+what differs between two equal runs. Settings that only one checkout has are named, but do not count as a difference.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any
 
 EXAMPLE = Path("examples/glossy_knot")
 REPORT = "report.json"
-LEFT_OUT = ("log.txt", "report.html")
+LEFT_OUT = ("log.txt", "report.html", "checkpoint")
 # Parts of report.json that differ between two equal runs. The decisions are prose on the other parts.
 VOLATILE = ("command", "decisions", "machine", "peak_memory_mib", "seconds", "versions")
 SETTINGS = "settings"

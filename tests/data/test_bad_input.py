@@ -244,7 +244,8 @@ def test_black_masks(tmp_path: Path) -> None:
         save(root / f"masks/{i:03d}.png", np.zeros((SIDE, SIDE), np.uint8), "L")
     refuses(
         root,
-        "masks of 10 of 10 training views are empty: values of 128 and more are the object, and the mask of '001' has at most 0;",
+        "masks of 10 of 10 training views are empty: values of 128 and more are the object, and the mask of '001' "
+        "has at most 0;",
     )
 
 

@@ -92,7 +92,7 @@ def test_errors_name_the_cure(override: str, part: str) -> None:
 
 
 def test_what_the_surface_mirrors_needs_a_surface() -> None:
-    with pytest.raises(ConfigError, match=r"needs both branches, got train\.branches=gaussians"):
+    with pytest.raises(ConfigError, match=r"=\w+ needs both branches, got train\.branches=gaussians"):
         make_config(overrides=["branches=gaussians", "reflection=shared"])
 
 

@@ -89,7 +89,7 @@ def _one(cell: Cell, bench: Bench, tell: Callable[[str], None], stop: Callable[[
 def _results(cell: Cell, folder: Path, bench: Bench) -> tuple[Row, Curve]:
     report = read_report(folder)
     if bench.evaluator is None:
-        scores, scored_by = report_scores(report), "report"
+        scores, scored_by = report_scores(report.to_json()), "report"
     else:
         scores, scored_by = evaluator_scores(bench.evaluator, cell.scene, folder), bench.evaluator.name
     return finished_row(cell, folder, report, scores, scored_by, made_at(folder)), run_curve(cell, report)

@@ -14,6 +14,7 @@ from typing import Any
 from mgsr.bench.cells import Cell
 from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.running import MEASURED
+from mgsr.report.data import ReportData
 
 RUNS, CURVES = "runs.csv", "curves.csv"
 DONE = "done"
@@ -86,10 +87,11 @@ class Curve:
 
 
 def finished_row(
-    cell: Cell, folder: Path, report: dict[str, Any], scores: dict[str, float | None], scored_by: str, commit: str
+    cell: Cell, folder: Path, report: ReportData, scores: dict[str, float | None], scored_by: str, commit: str
 ) -> Row:
     """Build the row of a run that ended well."""
-    seconds, splats = report["seconds"], report["gaussians"]
+    seconds, splats = report.seconds, report.gaussians
+    kernels = "unknown" if report.machine is None else report.machine.kernels
     measured = json.loads((folder / MEASURED).read_text())
     figures: dict[str, Any] = {f"{step}_seconds": seconds.get(step) for step in ("start", "train", "mesh")}
     figures |= {name: splats.get(name, 0) for name in ("surfels", "gaussians")} | scores
@@ -97,14 +99,14 @@ def finished_row(
         **_identity(cell),
         **figures,
         seconds=seconds["total"],
-        faces=(report.get("mesh") or {}).get("faces"),
+        faces=None if report.mesh is None else report.mesh.faces,
         model_mib=sum(path.stat().st_size for path in folder.glob("splats_*.ply")) / MIB,
-        memory_mib=report["peak_memory_mib"],
+        memory_mib=report.peak_memory_mib,
         others=measured["others"],
         scored_by=scored_by,
         commit=commit,
-        machine=f"{measured['processor']}, {(report.get('machine') or {}).get('kernels', 'unknown')} kernels",
-        versions=" ".join(f"{name} {version}" for name, version in report["versions"].items()),
+        machine=f"{measured['processor']}, {kernels} kernels",
+        versions=" ".join(f"{name} {version}" for name, version in report.versions.items()),
         command=told_command(cell.arguments(folder)),
     )
 
@@ -119,9 +121,9 @@ def broken_row(cell: Cell, reason: str, commit: str) -> Row:
     return Row(**_identity(cell), state=f"broken: {reason}", commit=commit)
 
 
-def run_curve(cell: Cell, report: dict[str, Any]) -> Curve:
+def run_curve(cell: Cell, report: ReportData) -> Curve:
     """Build the curve of a run: the PSNR of a few test views while it trained; no point where it had none."""
-    points = ((row["seconds"], row["psnr"]) for row in report["curve"] if row.get("psnr") is not None)
+    points = ((row.seconds, row.psnr) for row in report.curve if row.psnr is not None)
     return Curve(tuple(_identity(cell).values()), tuple(points))
 
 

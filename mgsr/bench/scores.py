@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mgsr.bench.running import REPORT, BrokenCell
+from mgsr.report.data import ReportData
 
 KEPT = "evaluate.json"
 
@@ -27,7 +28,7 @@ NAMES: dict[str, tuple[str, str, str, float]] = {
 
 
 def report_scores(report: dict[str, Any]) -> dict[str, float | None]:
-    """Return the program's own scores: `gt`, `split` and the test views of report.json."""
+    """Return the program's own scores: `gt`, `split` and the test views of a report's JSON object."""
     found = {}
     for name, (section, key, _, factor) in NAMES.items():
         value = ((report.get(section) or {}) if section else report).get(key)
@@ -68,7 +69,6 @@ def _evaluate(evaluator: Path, scene: Path, folder: Path) -> str:
     return (asked.stdout.strip().splitlines() or [""])[-1]
 
 
-def read_report(folder: Path) -> dict[str, Any]:
+def read_report(folder: Path) -> ReportData:
     """Read report.json of a finished run."""
-    report: dict[str, Any] = json.loads((folder / REPORT).read_text(encoding="utf-8"))
-    return report
+    return ReportData.from_json(json.loads((folder / REPORT).read_text(encoding="utf-8")))

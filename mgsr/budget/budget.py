@@ -17,7 +17,7 @@ from typing import Any
 
 from mgsr.budget import costs
 from mgsr.budget.costs import Facts
-from mgsr.budget.line import HIGHEST, JUST_ABOVE_DRAFT, LOWEST, SettingsLine
+from mgsr.budget.line import JUST_ABOVE_DRAFT, SettingsLine
 from mgsr.config import (
     Branches,
     Config,
@@ -30,15 +30,7 @@ from mgsr.config import (
 )
 from mgsr.training.stage_scheduler import FINISH, StageLength
 
-AIM = 0.96  # planned share of the budget; a run may take 0.9 to 1.05 of it
-UNSURE = 0.5  # reserve for a slower surface, as a share of its time; the last stage gets the rest
-LONGER_START = 1.25  # reserved multiple of the starting points' usual time; they can't be cut short
-LEAST_REFINED = 0.3  # least share of the refinement's time with which it begins
 SCALES = (1.0, 0.71, 0.5, 0.35, 0.25)  # sizes of the photographs that may be chosen
-LEAST_PIXELS = 96 * 96  # least size of a reduced view
-PERIOD = 10  # iterations between two readings of the clock; fewer towards a stage's end
-RECENT = 5  # readings that the current speed is measured over
-THROWN_AWAY = 3  # candidates of a model selection that lead nowhere; one more where a lower degree of colour is as good
 
 
 class TimeBudget:
@@ -51,7 +43,7 @@ class TimeBudget:
 
     def __init__(self, config: Config, clock: Callable[[], float], on_card: bool = False) -> None:
         assert config.time_budget is not None
-        self.seconds = config.time_budget
+        self.seconds, self.options = config.time_budget, config.expert.budget
         self.line = SettingsLine(config)
         self.on_card = on_card
         self.place: float | None = None
@@ -71,7 +63,7 @@ class TimeBudget:
         self._ceilings: dict[str, int] = {}
         self._open = ""
         self._opened = 0.0
-        self._recent: deque[tuple[float, int]] = deque(maxlen=RECENT)
+        self._recent: deque[tuple[float, int]] = deque(maxlen=self.options.readings)
 
     @property
     def spent(self) -> float:
@@ -99,10 +91,10 @@ class TimeBudget:
         draft = self.line.at(0.0)
         for scale in SCALES:
             smaller = _scaled(facts, scale)
-            if smaller.pixels < LEAST_PIXELS and self.scale is not None:
+            if smaller.pixels < self.options.min_pixels and self.scale is not None:
                 break
             self.scale = scale
-            before = LONGER_START * costs.start_cost(smaller) + reference_training(smaller, draft)
+            before = self.options.start_reserve * costs.start_cost(smaller) + reference_training(smaller, draft)
             if self.spent + self.slowness * before + self._after(smaller, draft.mesh) <= self._aim:
                 break
         assert self.scale is not None
@@ -117,15 +109,17 @@ class TimeBudget:
         if not self.on_card:
             reference = {name: costs.iteration_cost(name, facts, splats) for name in measured}
             self.learn(sum(reference.values()), sum(measured.values()))
-        low, high = LOWEST, HIGHEST
-        self.least = self.spent + self._total(self.line.at(LOWEST), unsure=0.0)
+        low, high = self.options.lowest, self.options.highest
+        self.least = self.spent + self._total(self.line.at(low), reserve=0.0)
         for _ in range(12):
             middle = (low + high) / 2
             fits = self.spent + self._total(self.line.at(middle)) <= self._aim
             low, high = (middle, high) if fits else (low, middle)
         self.place, self.refined = low, 1.0
-        if low < JUST_ABOVE_DRAFT and (share := self._refinable(self.line.at(JUST_ABOVE_DRAFT))) >= LEAST_REFINED:
-            self.place, self.refined = JUST_ABOVE_DRAFT, share
+        if low < JUST_ABOVE_DRAFT:
+            share = self._refinable(self.line.at(JUST_ABOVE_DRAFT))
+            if share >= self.options.min_refined:
+                self.place, self.refined = JUST_ABOVE_DRAFT, share
         self._settle()
         return self.place
 
@@ -134,13 +128,13 @@ class TimeBudget:
 
         splats: by branch.
         """
-        stage, now = stages[index], self.spent
+        stage, now, period = stages[index], self.spent, self.options.period
         if stage.name != self._open:
             self._open, self._opened = stage.name, now
             self._recent.clear()
-        if stage.iterations - stage.iteration > PERIOD and stage.iteration % PERIOD:
+        if stage.iterations - stage.iteration > period and stage.iteration % period:
             return stage.iterations
-        if self._recent and stage.iteration > self._recent[-1][1] + PERIOD:
+        if self._recent and stage.iteration > self._recent[-1][1] + period:
             self._recent.clear()  # a model selection repeated iterations in between
         self._recent.append((now, stage.iteration))
         each = self._present(stage.name, splats)
@@ -151,10 +145,10 @@ class TimeBudget:
     def mesh_settings(self) -> MeshConfig:
         """Choose the best settings of the surface that still fit, up to the plan's; of its refinement, the least."""
         assert self.place is not None
-        place, least = self.place, min(self.refined, LEAST_REFINED)
+        lowest, place, least = self.options.lowest, self.place, min(self.refined, self.options.min_refined)
         self._drift = max(self._drift, self._latest)  # training ends soon after the machine has slowed down
-        while place > LOWEST and self.spent + self._after(self._facts, self._mesh, 0.15, least) > self._aim:
-            place = max(LOWEST, place - 0.25)
+        while place > lowest and self.spent + self._after(self._facts, self._mesh, 0.15, least) > self._aim:
+            place = max(lowest, place - 0.25)
             self._mesh = self.line.at(place).mesh
         return self._mesh
 
@@ -214,14 +208,15 @@ class TimeBudget:
 
     @property
     def _aim(self) -> float:
-        return AIM * self.seconds
+        return self.options.aim * self.seconds
 
     def _settle(self) -> None:
         """Derive each stage's planned, least and largest length from the chosen place.
 
         Training beyond the largest length roughens the surface; the last stage gets the remaining time.
         """
-        chosen, least, most = self.settings, self.line.at(LOWEST), self.line.at(HIGHEST)
+        chosen, options = self.settings, self.options
+        least, most = self.line.at(options.lowest), self.line.at(options.highest)
         self._mesh = chosen.mesh
         self._weights = {name: self._stage(name, chosen) for name in self._costs}
         self._floors = {name: min(_iterations(chosen, name), _iterations(least, name)) for name in self._costs}
@@ -239,10 +234,10 @@ class TimeBudget:
                 "report": closing,
             }
 
-    def _total(self, config: Config, unsure: float = UNSURE, refined: float = 1.0) -> float:
-        """Return the seconds that these settings take from the first iteration on."""
+    def _total(self, config: Config, reserve: float | None = None, refined: float = 1.0) -> float:
+        """Return the seconds that these settings take from the first iteration on (see `_after`)."""
         training = sum(self._stage(name, config) for name in self._costs)
-        return training + self._after(self._facts, config.mesh, unsure, refined)
+        return training + self._after(self._facts, config.mesh, reserve, refined)
 
     def _refinable(self, config: Config) -> float:
         """Return the share of the refinement's time that these settings leave for it, 0..1; 0 without refinement."""
@@ -281,13 +276,16 @@ class TimeBudget:
         surface_begins = self._aim - self._after(self._facts, self._mesh)
         return self._opened + (surface_begins - self._opened) * weights[0] / sum(weights)
 
-    def _after(self, facts: Facts, mesh: MeshConfig, unsure: float = UNSURE, refined: float | None = None) -> float:
+    def _after(
+        self, facts: Facts, mesh: MeshConfig, reserve: float | None = None, refined: float | None = None
+    ) -> float:
         """Return the seconds reserved for the steps after training.
 
-        refined: the share of the refinement's time, None for the planned one. unsure: the reserve for a slower surface,
-        as a share; the refinement needs none, since it can end early.
+        refined: the share of the refinement's time, None for the planned one. reserve: for a slower surface, as a
+        share, None for the option; the refinement needs none, since it can end early.
         """
-        surface = (1 + unsure) * (costs.surface_cost(facts, mesh) + costs.judging_cost(facts))
+        reserve = self.options.reserve if reserve is None else reserve
+        surface = (1 + reserve) * (costs.surface_cost(facts, mesh) + costs.judging_cost(facts))
         refinement = (self.refined if refined is None else refined) * costs.refinement_cost(facts, mesh)
         return self.slowness * (surface + refinement + costs.closing_cost(facts))
 
@@ -311,7 +309,7 @@ def _work(config: Config, stage: str) -> int:
     iterations, train = _iterations(config, stage), config.train
     if stage != "warmup_gaussians" or train.gaussians.reflection is not Reflection.AUTO:
         return iterations
-    return iterations + THROWN_AWAY * min(
+    return iterations + config.expert.budget.rejected * min(
         train.model_selection.iterations, round((1 - train.model_selection.start) * iterations)
     )
 

@@ -14,7 +14,6 @@ from typing import Any
 
 from mgsr.config import PRESETS, Config, field_types, make_config
 
-LOWEST, HIGHEST = -0.75, 2.0  # below, too little is trained to be of use; above, more splats learn the noise
 JUST_ABOVE_DRAFT = 0.01  # where the parts that draft lacks begin
 
 

@@ -50,7 +50,7 @@ app.command()(bench)
 
 @app.command()
 def info(scene: SceneArgument, settings: SetOption = None) -> None:
-    """Make every check that a run makes before training, and print the contents of SCENE."""
+    """Read SCENE as a run does, and print its contents. What a run would refuse is refused."""
     with refusals():
         config = make_config(overrides=settings or [])
         from mgsr.data.find_cameras import facts_without_cameras
@@ -61,7 +61,7 @@ def info(scene: SceneArgument, settings: SetOption = None) -> None:
         if found.kind is None:
             facts = facts_without_cameras(found)
         else:
-            facts = scene_facts(load_capture(found, config.data)).to_json()
+            facts = scene_facts(load_capture(found, config.data, options=config.expert.data)).to_json()
         for name, value in facts.items():
             print(f"{name:16} {', '.join(map(str, value)) if isinstance(value, list) else value}")
 
@@ -81,7 +81,7 @@ def check(
         from mgsr.pipeline.run_metadata import scene_line
         from mgsr.pipeline.scene_check import summary
 
-        found = load_scene(scene, config.data)
+        found = load_scene(scene, config.data, options=config.expert.data)
         inspection = inspect_scene(found, options=config.expert.inspection)
         if as_json:
             print(json.dumps(inspection.to_json(), indent=2))
@@ -101,7 +101,7 @@ def estimate(
     as_json: Annotated[bool, typer.Option("--json", help="Write everything as JSON.")] = False,
     settings: SetOption = None,
 ) -> None:
-    """Say how long a run on SCENE will take on this machine, and how much memory, at each preset."""
+    """Print how long a run on SCENE takes on this machine, and how much memory it needs, at each preset."""
     with refusals():
         config = make_config(method=method, overrides=[*(settings or []), "check=off"])
         from mgsr.pipeline.estimate import estimate_line, estimate_presets

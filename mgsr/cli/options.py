@@ -42,11 +42,11 @@ SetOption = Annotated[
     typer.Option("--set", metavar="KEY=VALUE", help="Change one setting (see docs/options.md). Repeat it for several."),
 ]
 FacesOption = Annotated[
-    int | None, typer.Option(metavar="FACES", help="Reduce model.glb to so many faces instead of 100,000.")
+    int | None, typer.Option(metavar="FACES", help="Reduce model.glb to this many faces instead of 100,000.")
 ]
 TextureOption = Annotated[
     int | None,
-    typer.Option(metavar="TEXELS", help="Make model.glb's maps so many texels wide, such as 2048."),
+    typer.Option(metavar="TEXELS", help="Make the maps of model.glb this many texels wide, such as 2048."),
 ]
 ObjOption = Annotated[bool, typer.Option("--obj", help="Also write mesh.obj.")]
 UsdzOption = Annotated[bool, typer.Option("--usdz", help="Also write model.usdz (pip install 'mgsr\\[usd]').")]

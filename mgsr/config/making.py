@@ -25,7 +25,7 @@ def make_config(
     A key is a field's full path (``train.mutual.depth_weight``) or any part of it that names one field alone
     (``masks``, ``surfels.densify.every``). Values are read as the field's type; ``none`` where the field allows it.
 
-    Raises ConfigError for an unknown preset, method, key or value, naming what was meant perhaps.
+    Raises ConfigError for an unknown preset, method, key or value, and suggests the nearest names.
     """
     config = Config(preset=_known("preset", preset, PRESETS), method=_known("method", method, METHODS), seed=seed)
     for row in (PRESETS[preset], METHODS[method]):

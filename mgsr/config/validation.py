@@ -35,7 +35,7 @@ def validate(config: Config) -> None:
             raise ConfigError(f"train.{path}: expected a value between 0 and 1, got {value}")
     if train.branches is not Branches.BOTH and train.gaussians.reflection in (Reflection.SHARED, Reflection.BOTH):
         kind = train.gaussians.reflection
-        raise ConfigError(f"train.gaussians.reflection={kind}needs both branches, got train.branches={train.branches}")
+        raise ConfigError(f"train.gaussians.reflection={kind} needs both branches, got train.branches={train.branches}")
     if train.warmup.coarse > train.model_selection.start:
         raise ConfigError(
             f"train.warmup.coarse: expected at most train.model_selection.start ({train.model_selection.start}), "

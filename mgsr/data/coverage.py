@@ -6,31 +6,27 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mgsr.config.expert import ViewCountOptions
 from mgsr.data.scene import View
 
-# Fewer training views than this give a rough surface at best.
-FEW = 8
 
-# The largest angle between two views, in degrees at the point they look at, at which a surface still looks alike in
-# both.
-STEREO_ANGLE = 35.0
-
-
-def note_of_few_views(views: Sequence[View], center: np.ndarray, masked: bool) -> str | None:
+def note_of_few_views(
+    views: Sequence[View], center: np.ndarray, masked: bool, options: ViewCountOptions = ViewCountOptions()
+) -> str | None:
     """Return a note where the training views are too few or too far apart, else None.
 
     center: the point [3] that the cameras look at, in the views' frame. masked: whether silhouettes constrain the shape
     too.
     """
     count = len(views)
-    alone = np.mean(_angles_to_nearest(views, center) > STEREO_ANGLE)
+    alone = np.mean(_angles_to_nearest(views, center) > options.max_angle)
     if alone >= 0.5 and not masked:
         return (
             f"too few photographs: at least half of the {count} training photographs have no neighbour within "
-            f"{STEREO_ANGLE:.0f} degrees, so depth is uncertain and the surface is a guess; take at least 20 that "
+            f"{options.max_angle:.0f} degrees, so depth is uncertain and the surface is a guess; take at least 20 that "
             "overlap"
         )
-    if count < FEW:
+    if count < options.min_views:
         rough = "the surface is hardly better than the visual hull" if masked else "the surface is rough"
         return f"too few photographs: with {count} training photographs, {rough}; take at least 20 that overlap"
     return None

@@ -12,12 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from mgsr.config.expert import BrightnessOptions
 from mgsr.data.images import linear_to_srgb, srgb_to_linear, to_uint8
 from mgsr.data.pixels import PixelStore
 from mgsr.data.scene import Exposures, Scene, View
-
-ENOUGH = 256  # pixels a side of the subsampled photograph for its mean light
-NEIGHBOURS = 4  # views nearest to one, by the directions to their cameras
 
 
 def evened(scene: Scene, exposures: Exposures) -> Scene:
@@ -50,40 +48,40 @@ def at_common_exposure(view: View, factor: np.ndarray) -> View:
     return replace(view, image=image)
 
 
-def brightness_jumps(views: Sequence[View]) -> float:
+def brightness_jumps(views: Sequence[View], options: BrightnessOptions = BrightnessOptions()) -> float:
     """Return the robust standard deviation of a photograph's log mean light from that of its neighbours.
 
     The scene's own light changes little from one camera to the next, so larger jumps come from exposure. A result of
     0.1 is a tenth more or less light.
     """
-    return robust_jump(brightness_offsets(views))
+    return robust_jump(brightness_offsets(views, options), options)
 
 
-def brightness_offsets(views: Sequence[View]) -> np.ndarray:
+def brightness_offsets(views: Sequence[View], options: BrightnessOptions = BrightnessOptions()) -> np.ndarray:
     """Return each photograph's log mean light [V] relative to that of its neighbours."""
-    light = np.log(np.maximum([_mean_light(view) for view in views], 1e-6))
+    light = np.log(np.maximum([_mean_light(view, options.side) for view in views], 1e-6))
     centers = np.array([view.camera.center for view in views])
     directions = centers / np.maximum(np.linalg.norm(centers, axis=1, keepdims=True), 1e-9)
     alike = directions @ directions.T
     np.fill_diagonal(alike, -2)
-    nearest = np.argsort(-alike, axis=1, kind="stable")[:, :NEIGHBOURS]
+    nearest = np.argsort(-alike, axis=1, kind="stable")[:, : options.neighbours]
     return np.asarray(light - light[nearest].mean(axis=1))
 
 
-def robust_jump(offsets: np.ndarray) -> float:
+def robust_jump(offsets: np.ndarray, options: BrightnessOptions = BrightnessOptions()) -> float:
     """Return the robust standard deviation of a photograph's log light, from the result [V] of `brightness_offsets`."""
     # Convert the median difference between one value and the mean of equally varying neighbours to a standard
     # deviation.
     usual = 1.4826 * float(np.median(np.abs(offsets - np.median(offsets))))
-    return usual / float(np.sqrt(1 + 1 / min(NEIGHBOURS, len(offsets))))
+    return usual / float(np.sqrt(1 + 1 / min(options.neighbours, len(offsets))))
 
 
-def _mean_light(view: View) -> float:
+def _mean_light(view: View, side: int) -> float:
     """Return the mean linear light over the object, or over the whole photograph without a mask.
 
-    It is 0 where nothing is valid.
+    It is 0 where nothing is valid. side: pixels a side above which the photograph is subsampled.
     """
-    step = max(1, max(view.image.shape[:2]) // ENOUGH)
+    step = max(1, max(view.image.shape[:2]) // side)
     some = (slice(None, None, step),) * 2
     light = srgb_to_linear(np.arange(256) / 255)[view.image[some]].mean(axis=-1)
     weight = np.ones(light.shape) if view.alpha is None else view.alpha[some].astype(np.float64)

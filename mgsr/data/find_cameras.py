@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mgsr.config import DataConfig
+from mgsr.config.expert import DataOptions, FrameOptions
 from mgsr.data.archive import temporary_folder
 from mgsr.data.camera_search import CameraSearch
 from mgsr.data.capture import Capture, Format
@@ -44,6 +45,7 @@ class _Task:
     files: list[Path]
     folder: CameraFolder
     config: DataConfig
+    options: DataOptions
 
     @property
     def photos(self) -> SceneFolder:
@@ -57,11 +59,14 @@ class _Task:
 
     def settings(self, seed: int) -> str:
         """Return the settings that change which cameras are found."""
-        of_videos = (self.config.video_frames, self.config.max_side) if self.found.is_video else ()
-        return repr((seed, self.config.camera_per_image, *of_videos))
+        video, frames = (self.config.video_frames, self.config.max_side), self.options.frames
+        of_videos = (*video, frames) if self.found.is_video else ()
+        return repr((seed, self.config.camera_per_image, self.options.cameras, *of_videos))
 
 
-def with_cameras(found: FoundScene, config: DataConfig, search: CameraSearch) -> FoundScene:
+def with_cameras(
+    found: FoundScene, config: DataConfig, search: CameraSearch, options: DataOptions = DataOptions()
+) -> FoundScene:
     """Return the capture with its cameras, which are searched for where it has none.
 
     Raises SceneError where too few photographs can be read or placed, ConfigError without pycolmap, or without PyAV for
@@ -71,7 +76,7 @@ def with_cameras(found: FoundScene, config: DataConfig, search: CameraSearch) ->
     if found.kind is not None:
         return found
     folder = CameraFolder(search.folder or temporary_folder("mgsr-cameras-"))
-    task = _Task(found, _files_of(found), folder, config)
+    task = _Task(found, _files_of(found), folder, config, options)
     photographs, settings = key_of(task.files, found.folder.root), task.settings(search.seed)
     state = None
     if search.resume or search.known_only:
@@ -124,7 +129,7 @@ def _searched(task: _Task, state: SearchState, search: CameraSearch) -> SearchSt
             search.say(note)
         lenses = lenses_of(gathered.shots, task.config.camera_per_image, search)
         search = replace(search, tell=search.share(_GATHERED, 1.0))
-        model, notes = _kept_model(Path(work), task.folder, lenses, task.found.is_video, search)
+        model, notes = _kept_model(Path(work), task, lenses, search)
         _rename(model, gathered.originals)
         finished = replace(state, finished=True, notes=(*state.notes, *gathered.notes, *notes))
         task.folder.finish(model, finished)
@@ -134,14 +139,18 @@ def _searched(task: _Task, state: SearchState, search: CameraSearch) -> SearchSt
 def _with_frames(task: _Task, state: SearchState, search: CameraSearch) -> SearchState:
     """Choose frames of the videos; return the state after that."""
     shutil.rmtree(task.folder.images, ignore_errors=True)
-    count, notes = choose_frames_of(task.files, task.folder.images, task.config, search)
+    count, notes = choose_frames_of(task.files, task.folder.images, task.config, search, task.options.frames)
     state = replace(state, notes=notes, frames=count)
     task.folder.write_state(state)
     return state
 
 
 def choose_frames_of(
-    videos: Sequence[Path], folder: Path, config: DataConfig, search: CameraSearch
+    videos: Sequence[Path],
+    folder: Path,
+    config: DataConfig,
+    search: CameraSearch,
+    options: FrameOptions = FrameOptions(),
 ) -> tuple[int, tuple[str, ...]]:
     """Write chosen frames of videos into a folder, and of several videos into a folder for each; return how many.
 
@@ -154,7 +163,7 @@ def choose_frames_of(
         search.say(f"choosing frames of {video.name}")
         most = max(config.video_frames // len(videos), 1)
         place = folder / f"video_{number + 1}" if len(videos) > 1 else folder
-        files, line = write_frames(video, place, most, config.max_side, tell)
+        files, line = write_frames(video, place, most, config.max_side, tell, options=options)
         search.say(line)
         notes.append(line)
         count += len(files)
@@ -172,15 +181,16 @@ def lenses_of(shots: Sequence[PhotoFile], camera_per_image: bool, search: Camera
 
 
 def _kept_model(
-    work: Path, folder: CameraFolder, lenses: Sequence[SharedLens], frames: bool, search: CameraSearch
+    work: Path, task: _Task, lenses: Sequence[SharedLens], search: CameraSearch
 ) -> tuple[Any, tuple[str, ...]]:
     """Return the model and notes on it; COLMAP's database is kept in the folder until the search is complete."""
-    database = work / "database.db"
-    if folder.database.is_file():
-        shutil.copyfile(folder.database, database)
-    keeper = DatabaseKeeper(database, folder.database)
+    database, kept = work / "database.db", task.folder.database
+    if kept.is_file():
+        shutil.copyfile(kept, database)
+    keeper = DatabaseKeeper(database, kept)
     try:
-        return find_model(SearchFolder(work / "images", database, keeper), lenses, frames, search)
+        folder = SearchFolder(work / "images", database, keeper)
+        return find_model(folder, lenses, task.found.is_video, search, task.options.cameras)
     except Cancelled:
         keeper.keep()
         raise

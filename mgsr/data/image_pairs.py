@@ -10,58 +10,55 @@ from typing import Any
 
 import numpy as np
 
-# Up to these numbers, all pairs are compared. Frames of a video need fewer pairs: they overlap with their neighbours.
-EXHAUSTIVE_UP_TO = 150
-EXHAUSTIVE_FRAMES_UP_TO = 50
-
-# Beyond, each photograph is compared with those that look most like it, and with those that follow it by name.
-SIMILAR = 30
-SIMILAR_FRAMES = 10
-FOLLOWING = 10
-
-# A vocabulary of the capture's own features: words, and features that it is learned from.
-_WORDS = 1024
-_LEARNED_FROM = 100_000
-
-# The share of photographs whose number follows that of the one before, from which on names count as ordered.
-_FOLLOWS = 0.8
+from mgsr.config.expert import ImagePairOptions
 
 Pair = tuple[str, str]
 
 
-def exhaustive(count: int, frames: bool) -> bool:
-    """Return whether all pairs of so many photographs, or frames of videos, are compared."""
-    return count <= (EXHAUSTIVE_FRAMES_UP_TO if frames else EXHAUSTIVE_UP_TO)
+def exhaustive(count: int, frames: bool, options: ImagePairOptions = ImagePairOptions()) -> bool:
+    """Return whether all pairs of so many photographs, or frames of videos, are compared.
+
+    Frames of a video need fewer pairs, because they overlap with their neighbours.
+    """
+    return count <= (options.exhaustive_frames if frames else options.exhaustive)
 
 
-def pair_count(count: int, frames: bool) -> int:
+def pair_count(count: int, frames: bool, options: ImagePairOptions = ImagePairOptions()) -> int:
     """Return about how many pairs are compared."""
-    if exhaustive(count, frames):
+    if exhaustive(count, frames, options):
         return count * (count - 1) // 2
-    return count * (3 * FOLLOWING // 2 + (SIMILAR_FRAMES if frames else SIMILAR))
+    return count * (3 * options.following // 2 + (options.similar_frames if frames else options.similar))
 
 
-def choose_pairs(colmap: Any, database: Path, names: Sequence[str], frames: bool, work: Path, seed: int) -> list[Pair]:
+def choose_pairs(
+    colmap: Any,
+    database: Path,
+    names: Sequence[str],
+    frames: bool,
+    work: Path,
+    seed: int,
+    options: ImagePairOptions = ImagePairOptions(),
+) -> list[Pair]:
     """Return the pairs of names to compare, sorted.
 
     database: COLMAP's, with the features of all photographs. frames: whether they are a video's. work: a folder for a
     temporary file.
     """
-    if exhaustive(len(names), frames):
+    if exhaustive(len(names), frames, options):
         return list(combinations(sorted(names), 2))
-    options: Any
+    pairing: Any
     generators = []
     with colmap.Database.open(str(database)) as opened:
         images = {image.image_id: image.name for image in opened.read_all_images()}
-        vocabulary = _vocabulary(colmap, opened, list(images), work, seed)
+        vocabulary = _vocabulary(colmap, opened, list(images), work, seed, options)
         if vocabulary is not None:
-            similar = SIMILAR_FRAMES if frames else SIMILAR
-            options = colmap.VocabTreePairingOptions(vocab_tree_path=vocabulary, num_images=similar + 1)
-            generators.append(colmap.VocabTreePairGenerator(options, opened))
-        if frames or vocabulary is None or are_ordered(names):
+            similar = options.similar_frames if frames else options.similar
+            pairing = colmap.VocabTreePairingOptions(vocab_tree_path=vocabulary, num_images=similar + 1)
+            generators.append(colmap.VocabTreePairGenerator(pairing, opened))
+        if frames or vocabulary is None or are_ordered(names, options):
             for by_powers_of_two in (False, True):
-                options = colmap.SequentialPairingOptions(overlap=FOLLOWING, quadratic_overlap=by_powers_of_two)
-                generators.append(colmap.SequentialPairGenerator(options, opened))
+                pairing = colmap.SequentialPairingOptions(overlap=options.following, quadratic_overlap=by_powers_of_two)
+                generators.append(colmap.SequentialPairGenerator(pairing, opened))
         pairs = {
             tuple(sorted((images[one], images[other])))
             for generator in generators
@@ -71,11 +68,11 @@ def choose_pairs(colmap: Any, database: Path, names: Sequence[str], frames: bool
     return sorted((one, other) for one, other in pairs)
 
 
-def are_ordered(names: Sequence[str]) -> bool:
+def are_ordered(names: Sequence[str], options: ImagePairOptions = ImagePairOptions()) -> bool:
     """Return whether the names are numbered in the order of taking, as cameras and video tools number them."""
     places = [(PurePosixPath(name).parent, *_number(PurePosixPath(name).stem)) for name in sorted(names)]
-    follows = [one[:2] == other[:2] and 0 < other[2] - one[2] <= FOLLOWING for one, other in pairwise(places)]
-    return bool(follows) and sum(follows) >= _FOLLOWS * len(follows)
+    follows = [one[:2] == other[:2] and 0 < other[2] - one[2] <= options.following for one, other in pairwise(places)]
+    return bool(follows) and sum(follows) >= options.ordered * len(follows)
 
 
 def _number(stem: str) -> tuple[str, int]:
@@ -84,26 +81,28 @@ def _number(stem: str) -> tuple[str, int]:
     return (match[1], int(match[2])) if match else (stem, -1)
 
 
-def _vocabulary(colmap: Any, opened: Any, images: Sequence[int], work: Path, seed: int) -> Path | None:
+def _vocabulary(
+    colmap: Any, opened: Any, images: Sequence[int], work: Path, seed: int, options: ImagePairOptions
+) -> Path | None:
     """Learn a vocabulary of the capture's features and return its file; None where there are too few features.
 
     No vocabulary has to be downloaded, and one of the capture's own features tells its photographs apart better.
     """
     random = np.random.default_rng(seed)
-    each = max(1, _LEARNED_FROM // len(images))
+    each = max(1, options.sample // len(images))
     found = []
     for image in images:
         descriptors = opened.read_descriptors(image)
         kind, rows = descriptors.type, np.asarray(descriptors.data)
         found.append(rows[np.sort(random.permutation(len(rows))[:each])])
     learned = np.concatenate(found).astype(np.float32)
-    words = min(_WORDS, len(learned) // 40)
+    words = min(options.words, len(learned) // 40)
     if words < 2 * learned.shape[1]:
         return None
     index = colmap.VisualIndex.create(learned.shape[1], learned.shape[1] // 2)
-    options = colmap.VisualIndex.BuildOptions()
-    options.num_visual_words = words
-    index.build(options, colmap.FeatureDescriptorsFloat(kind, learned))
+    build = colmap.VisualIndex.BuildOptions()
+    build.num_visual_words = words
+    index.build(build, colmap.FeatureDescriptorsFloat(kind, learned))
     path = work / "vocabulary.bin"
     index.write(str(path))
     return path

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsr.config import DataConfig, Masks
+from mgsr.config.expert import UndistortionOptions
 from mgsr.data.camera import Camera
 from mgsr.data.capture import Photo
 from mgsr.data.images import DecodedImage, read_mask, read_picture, reduce_area, to_uint8, upright
@@ -54,14 +55,18 @@ class _Tools:
 
 
 def load_views(
-    photos: Sequence[Photo], names: Sequence[str], config: DataConfig, progress: LoadProgress | None = None
+    photos: Sequence[Photo],
+    names: Sequence[str],
+    config: DataConfig,
+    progress: LoadProgress | None = None,
+    options: UndistortionOptions = UndistortionOptions(),
 ) -> list[LoadedView | SceneError]:
     """Decode every photograph once; return its view, or the error of an unreadable one, in the given order.
 
     Each thread decodes one photograph at a time. Raises the first error once most of the photographs have one.
     """
     pixels = PixelStore()
-    tools = _Tools(config, Undistorter(pixels), pixels)
+    tools = _Tools(config, Undistorter(pixels, options), pixels)
     loaded: list[LoadedView | SceneError] = []
     lost: list[SceneError] = []
     reported = time.monotonic()

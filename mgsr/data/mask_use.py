@@ -11,41 +11,11 @@ from enum import StrEnum
 
 import numpy as np
 
+from mgsr.config.expert import MaskUseOptions
 from mgsr.data.camera import Camera
 from mgsr.data.masks import inverted_masks, leave_borders_free, white_borders
 from mgsr.data.normalise import unmasked_ball
 from mgsr.errors import SceneError
-
-# The black parts of masks are compared on a cube of points: their number along each side, and half the side over the
-# radius of the ball that the images show whole. The images' corners show more than that ball.
-_SIDE = 20
-_REACH = 1.25
-
-# The least median share of black pixels in silhouettes. Masks with less black give no information on the shape, as the
-# object fills the image.
-_NEXT_TO_NOTHING = 0.01
-
-# Black regions lie at one place in space where this share of the other views agrees, in excess of chance. On the shared
-# scenes, cut down to a half or a third of the image, the masks of objects have 0.09 to 0.23; black rectangles at random
-# places have at most 0.04, and with 6 views 0.08.
-_ELSEWHERE, _SAME_PLACE = 0.04, 0.06
-
-# Inverted silhouettes agree better than this: 0.11 with 6 views, 0.15 to 0.19 on the shared scenes.
-_INVERTED = 0.1
-
-# The same for places in the image. With borders at least as white as this, masks that are black at the same pixels in
-# all views hide a strip of the image or the camera's own stand; where they are black in the corners, they may also show
-# a round object that the images cut off.
-_SAME_PIXELS = 0.6
-_STRIP_BORDERS = 0.6
-
-# With borders as white as this and black at one place in space, masks show an object that fills nearly all images, or
-# a thing that stands still and is to be ignored.
-_WHITE_BORDERS = 0.85
-
-# Radii of the ball that the images show whole. Objects twice as large as the images reach 1.8 beyond it; the skies and
-# lens hoods that were tried make balls of 2.5 to 20.
-_LARGEST_BALL = 2.4
 
 _CHOICE = (
     "choose masks=object (white is the object to reconstruct), masks=ignore (black is left out, such as passers-by or "
@@ -60,28 +30,30 @@ class MaskUse(StrEnum):
     IGNORE = "ignore"
 
 
-def find_mask_use(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> MaskUse:
+def find_mask_use(
+    masks: Sequence[np.ndarray], cameras: Sequence[Camera], options: MaskUseOptions = MaskUseOptions()
+) -> MaskUse:
     """Return what masks [H,W] uint8, one for each camera, mean.
 
     Masks that leave the images' borders black show an object before its surroundings. Other masks show one where their
     black parts lie at one place in space, around the object. Black parts that lie somewhere else in each view are to be
     ignored. Raises SceneError, with the two meanings, where neither is clear, and for inverted silhouettes.
     """
-    if leave_borders_free(masks):
+    if leave_borders_free(masks, options):
         return MaskUse.OBJECT
     black = np.array([(mask < 128).mean() for mask in masks])
-    if np.median(black) < _NEXT_TO_NOTHING and black.mean() < 2 * _NEXT_TO_NOTHING:
+    if np.median(black) < options.min_black and black.mean() < 2 * options.min_black:
         return MaskUse.IGNORE
-    agreement, borders = _agreement_in_space(masks, cameras), white_borders(masks)
-    same_pixels = borders >= _STRIP_BORDERS and _agreement_in_image(masks) > _SAME_PIXELS
-    if agreement < _ELSEWHERE or (same_pixels and _black_corners(masks) <= 2):
+    agreement, borders = _agreement_in_space(masks, cameras, options), white_borders(masks)
+    same_pixels = borders >= options.strip_border and _agreement_in_image(masks, options) > options.same_pixels
+    if agreement < options.ignored or (same_pixels and _black_corners(masks) <= 2):
         return MaskUse.IGNORE
-    if agreement > _INVERTED and inverted_masks(masks):
+    if agreement > options.inverted and inverted_masks(masks):
         raise SceneError(
             "the masks are inverted, white around the object and black on it; make them white on the object, or "
             + _CHOICE
         )
-    if agreement > _SAME_PLACE and borders < _WHITE_BORDERS and not same_pixels:
+    if agreement > options.silhouettes and borders < options.white_border and not same_pixels:
         return MaskUse.OBJECT
     raise doubt(masks)
 
@@ -92,29 +64,34 @@ def doubt(masks: Sequence[np.ndarray]) -> SceneError:
     return SceneError(f"the masks may mark an object or areas to ignore ({white:.0%} white); {_CHOICE}")
 
 
-def require_plausible_ball(radius: float, masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> None:
+def require_plausible_ball(
+    radius: float,
+    masks: Sequence[np.ndarray],
+    cameras: Sequence[Camera],
+    options: MaskUseOptions = MaskUseOptions(),
+) -> None:
     """Raise SceneError (`doubt`) where the object's ball would be many times larger than the images' field of view.
 
     masks [H,W] uint8. Masks that only leave out the sky or the corners show no object.
     """
-    if radius > _LARGEST_BALL * unmasked_ball(cameras, None)[1]:
+    if radius > options.max_ball * unmasked_ball(cameras, None)[1]:
         raise doubt(masks)
 
 
-def _agreement_in_space(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> float:
+def _agreement_in_space(masks: Sequence[np.ndarray], cameras: Sequence[Camera], options: MaskUseOptions) -> float:
     """Return how well the masks [H,W] agree on the black places of a grid around the cameras' focus."""
     center, radius = unmasked_ball(cameras, None)
-    axis = np.linspace(-1, 1, _SIDE)
+    axis = np.linspace(-1, 1, options.places)
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    points = center + _REACH * radius * grid
+    points = center + options.reach * radius * grid
     pairs = (_seen(points, mask, camera) for mask, camera in zip(masks, cameras, strict=True))
     seen, black = (np.array(part) for part in zip(*pairs, strict=True))
     return _agreement(seen, black)
 
 
-def _agreement_in_image(masks: Sequence[np.ndarray]) -> float:
+def _agreement_in_image(masks: Sequence[np.ndarray], options: MaskUseOptions) -> float:
     """Return how well the masks [H,W] agree on the black parts of the image."""
-    axis = (np.arange(_SIDE) + 0.5) / _SIDE
+    axis = (np.arange(options.places) + 0.5) / options.places
     rows = [mask[(axis * len(mask)).astype(int)][:, (axis * mask.shape[1]).astype(int)].ravel() for mask in masks]
     black = np.array(rows) < 128
     return _agreement(np.ones_like(black), black)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mgsr.config.expert import MaskUseOptions
 from mgsr.data.capture import Photo
 from mgsr.data.images import reduce_area, to_uint8
 from mgsr.data.scene import Scene
@@ -14,9 +15,6 @@ from mgsr.errors import SceneError
 
 # A mask's sides may differ by this much in scale: programs that shrink masks round their sides.
 _SHAPE_TOLERANCE = 0.01
-
-# The least share of border pixels that is free before a plain backdrop, which is found by nine in ten.
-FREE = 0.75
 
 
 def fitted_mask(mask: np.ndarray, width: int, height: int, photo: Photo) -> np.ndarray:
@@ -46,12 +44,12 @@ def with_masks(scene: Scene, masks: Sequence[np.ndarray] | None) -> Scene:
     return replace(scene, train=[replace(view, alpha=mask) for view, mask in zip(scene.train, masks, strict=True)])
 
 
-def leave_borders_free(masks: Sequence[np.ndarray]) -> bool:
+def leave_borders_free(masks: Sequence[np.ndarray], options: MaskUseOptions = MaskUseOptions()) -> bool:
     """Return whether masks [H,W] uint8 leave the images' borders to the background.
 
     Masks of an object before a plain backdrop do.
     """
-    return 1 - white_borders(masks) >= FREE
+    return 1 - white_borders(masks) >= options.free_border
 
 
 def white_borders(masks: Sequence[np.ndarray]) -> float:

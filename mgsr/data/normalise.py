@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from mgsr.config.expert import NormalisationOptions
 from mgsr.data.camera import Camera
 from mgsr.data.hull import carve
 from mgsr.data.scene import PointCloud, Similarity, View
@@ -14,33 +15,29 @@ from mgsr.data.silhouettes import Silhouette
 from mgsr.data.valid_mask import whole_part
 from mgsr.errors import SceneError
 
-# Voxels a side of the grid that finds the object; it only has to give a centre and a radius to a per cent or two.
-RESOLUTION = 64
 
-# Pixels of the silhouettes' larger sides that this needs.
-OUTLINE_SIDE = 200
-
-# Fewer points than this say nothing about where the object is.
-MIN_POINTS = 50
-
-
-def normalisation(views: Sequence[View], points: PointCloud | None, outlines: Sequence[Silhouette]) -> Similarity:
+def normalisation(
+    views: Sequence[View],
+    points: PointCloud | None,
+    outlines: Sequence[Silhouette],
+    options: NormalisationOptions = NormalisationOptions(),
+) -> Similarity:
     """Return the similarity that maps the unit ball to a ball around the object, from training views in the user's
     frame.
 
-    outlines: the views' silhouettes of OUTLINE_SIDE, from masks that are not empty; none without masks. With masks, the
-    ball is the smallest around the visual hull. Without masks, it lies around the cameras' common focus, which most of
-    them have in view; it is then moved and shrunk to the densest points. Cameras that look in one direction have no
-    such focus. Their ball holds nine tenths of the points, or else the region that they see in common. Raises
-    SceneError if all cameras stand at one place, or if the masks have no common hull.
+    outlines: the views' silhouettes of `options.contour_side` pixels, from masks that are not empty; none without
+    masks. With masks, the ball is the smallest around the visual hull. Without masks, it lies around the cameras'
+    common focus, which most of them have in view; it is then moved and shrunk to the densest points. Cameras that look
+    in one direction have no such focus. Their ball holds nine tenths of the points, or else the region that they see in
+    common. Raises SceneError if all cameras stand at one place, or if the masks have no common hull.
     """
     cameras = [view.camera for view in views]
     centers = np.array([camera.center for camera in cameras])
     if np.ptp(centers, axis=0).max() <= 1e-9 * max(1.0, np.abs(centers).max()):
         raise SceneError("all cameras have the same position; take photographs from different positions")
     if outlines:
-        return Similarity(*_swapped(_masked_ball(views, outlines)))
-    return Similarity(*_swapped(unmasked_ball([whole_part(view).camera for view in views], points)))
+        return Similarity(*_swapped(_masked_ball(views, outlines, options)))
+    return Similarity(*_swapped(unmasked_ball([whole_part(view).camera for view in views], points, options)))
 
 
 def focus(origins: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
@@ -76,7 +73,9 @@ def smallest_ball(points: np.ndarray, steps: int = 2000) -> tuple[np.ndarray, fl
     return center, float(np.linalg.norm(corners - center, axis=1).max())
 
 
-def _masked_ball(views: Sequence[View], outlines: Sequence[Silhouette]) -> tuple[np.ndarray, float]:
+def _masked_ball(
+    views: Sequence[View], outlines: Sequence[Silhouette], options: NormalisationOptions
+) -> tuple[np.ndarray, float]:
     """Return the centre [3] and radius of the smallest ball around the masks' visual hull.
 
     Raises SceneError where the masks have no common hull.
@@ -85,7 +84,7 @@ def _masked_ball(views: Sequence[View], outlines: Sequence[Silhouette]) -> tuple
     radius = float(radii.max())
     for _ in range(8):
         half = 1.05 * radius
-        hull = carve(outlines, center, half, RESOLUTION)
+        hull = carve(outlines, center, half, options.resolution)
         if not (hull.field > 0).any():
             raise SceneError(
                 "the masks of the training views have no common visual hull; check that they are white on the object "
@@ -130,17 +129,21 @@ def _box(view: View) -> tuple[np.ndarray, float]:
     return direction / np.linalg.norm(direction), float(np.hypot(np.ptp(x), np.ptp(y)) / 2)
 
 
-def unmasked_ball(cameras: Sequence[Camera], points: PointCloud | None) -> tuple[np.ndarray, float]:
+def unmasked_ball(
+    cameras: Sequence[Camera], points: PointCloud | None, options: NormalisationOptions = NormalisationOptions()
+) -> tuple[np.ndarray, float]:
     """Return the centre [3] and radius of the ball around the cameras' focus, fitted to the points [P,3] in it."""
     origins = np.array([camera.center for camera in cameras])
     directions = np.array([_view_direction(camera) for camera in cameras])
     positions = None if points is None else points.positions[np.isfinite(points.positions).all(axis=1)]
     center = focus(origins, directions)
     if center is None:
-        return _one_sided_ball(cameras, origins, directions, positions)
+        return _one_sided_ball(cameras, origins, directions, positions, options.min_points)
     # The median: a few close cameras must not shrink the ball to their own field of view.
     radius = float(np.median([_radius_in_view(camera, center) for camera in cameras]))
-    return (center, radius) if positions is None else _ball_of_points(positions, center, radius)
+    if positions is None:
+        return center, radius
+    return _ball_of_points(positions, center, radius, options.min_points)
 
 
 def _view_direction(camera: Camera) -> np.ndarray:
@@ -154,16 +157,18 @@ def _view_direction(camera: Camera) -> np.ndarray:
     return np.asarray(camera.cam_from_world[:3, :3].T @ middle / np.linalg.norm(middle))
 
 
-def _ball_of_points(positions: np.ndarray, focus_point: np.ndarray, radius: float) -> tuple[np.ndarray, float]:
+def _ball_of_points(
+    positions: np.ndarray, focus_point: np.ndarray, radius: float, min_points: int
+) -> tuple[np.ndarray, float]:
     """Return the centre [3] and radius of the ball, moved to the densest points in it and shrunk to them.
 
     Photographers aim beside the object, but its texture yields most of the points [P,3]. The centre stays within the
-    ball's radius of focus_point [3].
+    ball's radius of focus_point [3]. min_points: points in the ball, with fewer of which it stays.
     """
     center = focus_point
     for _ in range(10):
         within = positions[np.linalg.norm(positions - center, axis=1) < radius]
-        if len(within) < MIN_POINTS:
+        if len(within) < min_points:
             break
         moved = np.median(within, axis=0)
         if np.linalg.norm(moved - focus_point) > radius:
@@ -171,19 +176,24 @@ def _ball_of_points(positions: np.ndarray, focus_point: np.ndarray, radius: floa
         center = moved
     distance = np.linalg.norm(positions - center, axis=1)
     distance = distance[distance < radius]
-    if len(distance) < MIN_POINTS:
+    if len(distance) < min_points:
         return center, radius
     return center, float(np.clip(1.05 * np.quantile(distance, 0.99), 0.25 * radius, radius))
 
 
 def _one_sided_ball(
-    cameras: Sequence[Camera], origins: np.ndarray, directions: np.ndarray, positions: np.ndarray | None
+    cameras: Sequence[Camera],
+    origins: np.ndarray,
+    directions: np.ndarray,
+    positions: np.ndarray | None,
+    min_points: int,
 ) -> tuple[np.ndarray, float]:
     """Return the centre [3] and radius of the ball for cameras that look in one direction.
 
-    origins, directions [C,3]: the cameras' viewing rays; positions [P,3] or None: points of the surface.
+    origins, directions [C,3]: the cameras' viewing rays; positions [P,3] or None: points of the surface,
+    which count if there are min_points of them.
     """
-    if positions is not None and len(positions) >= MIN_POINTS:
+    if positions is not None and len(positions) >= min_points:
         center = np.median(positions, axis=0)
         return center, float(np.quantile(np.linalg.norm(positions - center, axis=1), 0.9))
     center = _common_point(origins, directions)

@@ -8,7 +8,7 @@ from itertools import compress
 
 import numpy as np
 
-from mgsr.data.normalise import OUTLINE_SIDE, normalisation
+from mgsr.data.normalise import normalisation
 from mgsr.data.odd_masks import agreeing_masks
 from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import silhouettes
@@ -23,15 +23,15 @@ def with_object(
     training views with masks that contradict the others; a note names them. Raises SceneError if no object fits the
     masks. ground [4]: the plane on which the object stands, in the user's frame, None if it is unknown.
     """
-    old = scene.user_from_scene
+    old, options = scene.user_from_scene, scene.options
     views, tests = (
         [replace(view, camera=old.camera_to_user(view.camera)) for view in _masked(part, masks)]
         for part, masks in ((scene.train, train), (scene.test, test))
     )
-    outlines = silhouettes(views, OUTLINE_SIDE)
-    agreeing, odd = agreeing_masks(views, outlines)
+    outlines = silhouettes(views, options.normalisation.contour_side)
+    agreeing, odd = agreeing_masks(views, outlines, options.odd_masks)
     views = list(compress(views, agreeing))
-    frame = normalisation(views, None, list(compress(outlines, agreeing)))
+    frame = normalisation(views, None, list(compress(outlines, agreeing)), options.normalisation)
     points = scene.points
     if points is not None:
         points = PointCloud(frame.to_scene(old.to_user(points.positions)), points.colors)

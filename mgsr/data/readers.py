@@ -10,6 +10,7 @@ from itertools import compress
 from pathlib import Path
 
 from mgsr.config import DataConfig, Masks
+from mgsr.config.expert import DataOptions
 from mgsr.data.archive import archive_stem, temporary_folder, unpack
 from mgsr.data.camera_search import CameraSearch
 from mgsr.data.capture import Capture, Photo, Split
@@ -20,7 +21,7 @@ from mgsr.data.find_scene import FEWEST_PHOTOS, FoundScene, find_scene, scene_ar
 from mgsr.data.loading import LoadedView, LoadProgress, load_views
 from mgsr.data.mask_files import MaskIndex
 from mgsr.data.mask_use import MaskUse, require_plausible_ball
-from mgsr.data.normalise import OUTLINE_SIDE, normalisation
+from mgsr.data.normalise import normalisation
 from mgsr.data.odd_files import VIDEO_CURE, is_read_video_name, is_video_name, what_instead
 from mgsr.data.odd_masks import agreeing_masks
 from mgsr.data.photo_files import SceneFolder
@@ -41,6 +42,7 @@ def load_scene(
     unpack_to: Path | None = None,
     progress: LoadProgress | None = None,
     search: CameraSearch | None = None,
+    options: DataOptions = DataOptions(),
 ) -> Scene:
     """Load the scene at `path`, a folder, an archive or a video, and decode its images.
 
@@ -48,14 +50,16 @@ def load_scene(
 
     config: the settings of the reading; None means the defaults. unpack_to: where an archive's files go; by default a
     folder that is removed when the process ends. progress: called every few seconds with the numbers of decoded and of
-    all photographs. search: the terms of a search for cameras. A name is unique within train and within test. `test` is
-    empty where the files name no split and there are fewer than `config.test_every` views.
+    all photographs. search: the terms of a search for cameras. options: expert options of the reading. A name is
+    unique within train and within test. `test` is empty where the files name no split and there are fewer than
+    `config.test_every` views.
 
     Raises SceneError, before anything is trained, naming the file and the cure.
     """
     config = DataConfig() if config is None else config
     found = find_capture(path, config, unpack_to)
-    return load_capture(with_cameras(found, config, search or CameraSearch()), config, progress)
+    found = with_cameras(found, config, search or CameraSearch(), options)
+    return load_capture(found, config, progress, options)
 
 
 def find_capture(
@@ -71,7 +75,12 @@ def find_capture(
     return find_scene(_as_folder(path, unpack_to), path, config.confined)
 
 
-def load_capture(found: FoundScene, config: DataConfig, progress: LoadProgress | None = None) -> Scene:
+def load_capture(
+    found: FoundScene,
+    config: DataConfig,
+    progress: LoadProgress | None = None,
+    options: DataOptions = DataOptions(),
+) -> Scene:
     """Read a scene that `find_capture` found and decode its images (see `load_scene`).
 
     Raises SceneError.
@@ -85,19 +94,19 @@ def load_capture(found: FoundScene, config: DataConfig, progress: LoadProgress |
     train, test = split(photos, config.test_every)
     if len(train) < 2:
         raise SceneError(f"{path.name}: expected at least 2 training views, got {len(train)}; use 20 or more")
-    views = _load(train, test, config, progress)
-    outlines = silhouettes(views.train, OUTLINE_SIDE)
-    agreeing, odd = agreeing_masks(views.train, outlines)
+    views = _load(train, test, config, progress, options)
+    outlines = silhouettes(views.train, options.normalisation.contour_side)
+    agreeing, odd = agreeing_masks(views.train, outlines, options.odd_masks)
     train_views = list(compress(views.train, agreeing))
     # Ignored regions still lie within the view.
     in_view = (
         [replace(view, valid_mask=None) for view in train_views] if views.ignoring and not outlines else train_views
     )
-    frame = normalisation(in_view, capture.points, list(compress(outlines, agreeing)))
+    frame = normalisation(in_view, capture.points, list(compress(outlines, agreeing)), options.normalisation)
     if outlines and views.use is MaskUse.OBJECT and config.masks is Masks.AUTO:
         masks = [view.alpha for view in train_views if view.alpha is not None]
-        require_plausible_ball(frame.scale, masks, [view.camera for view in train_views])
-    few = note_of_few_views(train_views, frame.offset, masked=bool(outlines))
+        require_plausible_ball(frame.scale, masks, [view.camera for view in train_views], options.mask_use)
+    few = note_of_few_views(train_views, frame.offset, bool(outlines), options.view_count)
     assert found.kind is not None
     return Scene(
         name=_stem(path) if path.is_file() else found.name,
@@ -112,6 +121,7 @@ def load_capture(found: FoundScene, config: DataConfig, progress: LoadProgress |
         ignoring=views.ignoring,
         source=path,
         read_with=config,
+        options=options,
     )
 
 
@@ -204,21 +214,23 @@ def _with_masks(photos: list[Photo], folder: SceneFolder, masks: Masks) -> tuple
     )
 
 
-def _load(train: list[Photo], test: list[Photo], config: DataConfig, progress: LoadProgress | None) -> SettledViews:
+def _load(
+    train: list[Photo], test: list[Photo], config: DataConfig, progress: LoadProgress | None, options: DataOptions
+) -> SettledViews:
     """Load the training and test photographs and settle their masks.
 
     Names are unique within train and within test only: NeRF-synthetic scenes call views of both r_0.
     """
     names = [view_names([photo.image for photo in part]) for part in (train, test)]
-    loaded = load_views(train + test, names[0] + names[1], config, progress)
+    loaded = load_views(train + test, names[0] + names[1], config, progress, options.undistortion)
     lost = [item for item in loaded if isinstance(item, SceneError)]
     trained, tested = (
         [item for item in part if isinstance(item, LoadedView)] for part in (loaded[: len(train)], loaded[len(train) :])
     )
     if len(trained) < 2:
         raise lost[0]
-    sharp, blurred = without_blurred(trained, tested, config.flawed)
-    settled = settle_masks(*sharp, config.masks)
+    sharp, blurred = without_blurred(trained, tested, config.flawed, options.sharpness)
+    settled = settle_masks(*sharp, config.masks, options.mask_use)
     unread = (f"{len(lost)} of {len(loaded)} photographs skipped: {lost[0]}",) if lost else ()
     return replace(settled, notes=(*unread, *settled.notes, *blurred))
 

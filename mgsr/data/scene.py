@@ -11,6 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from mgsr.config import Background, DataConfig
+from mgsr.config.expert import DataOptions
 from mgsr.data.backdrop import BLACK, WHITE, Backdrop, Color, plain_backdrop
 from mgsr.data.camera import Camera
 
@@ -126,8 +127,8 @@ class Scene:
     of them: the surface will be a guess.
 
     exposures: the factors divided out of the photographs; None where they are unchanged (see `exposure.py`). ignoring:
-    whether masks of regions to ignore make pixels invalid. source and read_with: the path and the settings of the
-    reading; None and the defaults for a scene that was not read from files.
+    whether masks of regions to ignore make pixels invalid. source, read_with and options: the path, the settings
+    and the expert options of the reading; None and the defaults for a scene that was not read from files.
 
     ground [4]: the plane on which a found object stands, None if it is unknown. It holds the points x with
     ground[:3] . x + ground[3] = 0; its unit normal points up.
@@ -146,6 +147,7 @@ class Scene:
     ignoring: bool = False
     source: Path | None = None
     read_with: DataConfig = field(default_factory=DataConfig)
+    options: DataOptions = field(default_factory=DataOptions)
     ground: np.ndarray | None = None
 
     @property
@@ -159,14 +161,15 @@ class Scene:
 
         None without one, and for masked scenes, which need none.
         """
-        return None if self.masked else plain_backdrop([(view.image, view.valid_mask) for view in self.train])
+        photographs = [(view.image, view.valid_mask) for view in self.train]
+        return None if self.masked else plain_backdrop(photographs, self.options.backdrop)
 
     def backdrop(self, kind: Background) -> Backdrop:
         """Choose the background behind the splats from the background setting, the masks and the photographs."""
         if kind is Background.RANDOM or (kind is Background.AUTO and self.masked):
             return Backdrop(WHITE, random=True)
         if kind is Background.AUTO and self.plain_backdrop is not None:
-            return Backdrop(self.plain_backdrop, plain=True)
+            return Backdrop(self.plain_backdrop, plain=True, near=self.options.backdrop.near)
         return Backdrop(BLACK if kind is Background.BLACK else WHITE)
 
 

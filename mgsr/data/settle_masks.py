@@ -10,6 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from mgsr.config import Masks
+from mgsr.config.expert import MaskUseOptions
 from mgsr.data.images import composite_on_white
 from mgsr.data.loading import LoadedView
 from mgsr.data.mask_use import MaskUse, find_mask_use
@@ -33,7 +34,9 @@ class SettledViews:
     ignoring: bool = False
 
 
-def settle_masks(train: list[LoadedView], test: list[LoadedView], masks: Masks) -> SettledViews:
+def settle_masks(
+    train: list[LoadedView], test: list[LoadedView], masks: Masks, options: MaskUseOptions = MaskUseOptions()
+) -> SettledViews:
     """Return the views with their masks applied as the setting `masks` says.
 
     Masks beside photographs are silhouettes or mark regions to ignore; the setting `masks` decides, or else
@@ -46,7 +49,7 @@ def settle_masks(train: list[LoadedView], test: list[LoadedView], masks: Masks) 
     """
     if masks is Masks.OFF:
         return SettledViews([_bare(item.view, item) for item in train], [_bare(item.view, item) for item in test])
-    use = _use(train, masks)
+    use = _use(train, masks, options)
     ignoring = use is MaskUse.IGNORE
     unknown = ignoring or any(item.ignored is not None for item in train)
     train, notes = _not_ignored_whole(train, ignoring)
@@ -63,7 +66,7 @@ def settle_masks(train: list[LoadedView], test: list[LoadedView], masks: Masks) 
     return SettledViews(views, [view for view in tests if not _empty(view)], (*notes, *empty), use, unknown)
 
 
-def _use(train: Sequence[LoadedView], masks: Masks) -> MaskUse | None:
+def _use(train: Sequence[LoadedView], masks: Masks, options: MaskUseOptions) -> MaskUse | None:
     """Return the meaning of the masks beside the photographs; None where there are none, or all are white.
 
     Raises SceneError for masks=ignore without any mask.
@@ -78,7 +81,7 @@ def _use(train: Sequence[LoadedView], masks: Masks) -> MaskUse | None:
     if all((item.mask == 255).all() for item in with_masks if item.mask is not None):
         return None
     shown = [whole_part(replace(item.view, alpha=item.mask)) for item in with_masks]
-    return find_mask_use([_alpha(view) for view in shown], [view.camera for view in shown])
+    return find_mask_use([_alpha(view) for view in shown], [view.camera for view in shown], options)
 
 
 def _alpha(view: View) -> np.ndarray:
@@ -172,8 +175,7 @@ def _unused_masks(train: Sequence[View], beside: bool) -> tuple[str, ...]:
 
 
 def _with_an_object(train: list[View]) -> tuple[list[View], tuple[str, ...]]:
-    """Return the views with non-empty masks, and a note on the others. Raises SceneError where most are
-    empty."""
+    """Return the views with non-empty masks, and a note on the others. Raises SceneError where most are empty."""
     shown = [view for view in train if not _empty(view)]
     if len(shown) == len(train):
         return train, ()
@@ -181,8 +183,8 @@ def _with_an_object(train: list[View]) -> tuple[list[View], tuple[str, ...]]:
     count = f"the masks of {len(train) - len(shown)} of {len(train)} training views are empty"
     if len(shown) < max(2, len(train) / 2):
         raise SceneError(
-            f"{count}: the largest value in that of {first.name!r} is {_brightest(first)} of 255, and 128 or more is "
-            "the object; make them white on the object, or run with masks=off"
+            f"{count}: values of 128 and more are the object, and the mask of {first.name!r} has at most "
+            f"{_brightest(first)}; make the masks white on the object, or run with masks=off"
         )
     return shown, (f"{count} ({first.name!r}); these views are skipped",)
 

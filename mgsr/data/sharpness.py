@@ -9,39 +9,26 @@ import numpy as np
 from scipy.linalg import eigh
 
 from mgsr.config import Flawed
+from mgsr.config.expert import SharpnessOptions
 from mgsr.data.loading import LoadedView
 from mgsr.data.scene import View
 from mgsr.parallel import map_ahead
-
-# Pixels of the larger side at which sharpness is measured: finer blur costs little accuracy.
-_SIDE = 800
-
-# Pixels of the smaller side below which images are too small to tell.
-_SMALLEST = 48
-
-# Standard deviation, pixels, of the Gaussian that blurs the photograph for comparison with itself.
-_SIGMA = 1.5
-
-# The largest loss of fine detail, in powers of two, against sharp neighbours. On the shared scenes sharp
-# photographs lack at most 0.43; photographs moved by 5 pixels 0.5 to 1.2, by 9 pixels 0.9 to 1.6.
-MUCH = 0.55
-
-# Neighbours: those taken from the nearest places, and those before and after by name, as in a video.
-_NEAREST = 6
-_BESIDE = 5
 
 _NAMED = 3  # photographs that a note names
 
 
 def without_blurred(
-    train: list[LoadedView], test: list[LoadedView], blurred: Flawed
+    train: list[LoadedView],
+    test: list[LoadedView],
+    blurred: Flawed,
+    options: SharpnessOptions = SharpnessOptions(),
 ) -> tuple[tuple[list[LoadedView], list[LoadedView]], tuple[str, ...]]:
     """Return the training and test views, and a note on the views that are much less sharp.
 
     Under `Flawed.DROP` the views come without these.
     """
     views = [item.view for item in (*train, *test)]
-    less = less_sharp(views)
+    less = less_sharp(views, options)
     if not less.any():
         return (train, test), ()
     names = sorted(view.name for view in compress(views, less))
@@ -54,26 +41,26 @@ def without_blurred(
     return kept, (f"{text}; they are skipped",)
 
 
-def less_sharp(views: Sequence[View]) -> np.ndarray:
+def less_sharp(views: Sequence[View], options: SharpnessOptions = SharpnessOptions()) -> np.ndarray:
     """Return which views are much less sharp than their neighbours, [V] bool."""
-    return lost_sharpness(views) > MUCH
+    return lost_sharpness(views, options) > options.max_loss
 
 
-def lost_sharpness(views: Sequence[View]) -> np.ndarray:
+def lost_sharpness(views: Sequence[View], options: SharpnessOptions = SharpnessOptions()) -> np.ndarray:
     """Return how much less sharp each view is than its neighbours, [V], in powers of two.
 
     With fewer than three views, or for thumbnails, it is 0.
     """
-    if len(views) < 3 or min(min(view.image.shape[:2]) for view in views) < _SMALLEST:
+    if len(views) < 3 or min(min(view.image.shape[:2]) for view in views) < options.min_side:
         return np.zeros(len(views))
-    sharpness = np.array(list(map_ahead(_sharpness, views, None)))
-    neighbours = _neighbours(views)
+    sharpness = np.array(list(map_ahead(lambda view: _sharpness(view, options), views, None)))
+    neighbours = _neighbours(views, options)
     # The second sharpest: one neighbour may show another, more detailed part of the scene.
     best = np.array([np.sort(sharpness[near])[-2] for near in neighbours])
     return np.asarray(best - sharpness)
 
 
-def _sharpness(view: View) -> float:
+def _sharpness(view: View, options: SharpnessOptions) -> float:
     """Return the logarithm to base 2 of a view's sharpness in its least sharp direction.
 
     Sharpness is the mean squared gradient over that of the smoothed photograph. It does not depend on contrast and
@@ -84,10 +71,10 @@ def _sharpness(view: View) -> float:
     grey: np.ndarray = cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY).astype(np.float32)
     if view.alpha is not None:  # on white
         grey = 255 + (grey - 255) * (view.alpha * np.float32(1 / 255))
-    shrink = _SIDE / max(grey.shape)
+    shrink = options.side / max(grey.shape)
     if shrink < 1:
         grey = cv2.resize(grey, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
-    fine, coarse = _gradients(grey), _gradients(cv2.GaussianBlur(grey, (0, 0), _SIGMA))
+    fine, coarse = _gradients(grey), _gradients(cv2.GaussianBlur(grey, (0, 0), options.sigma))
     return float(np.log2(eigh(fine, coarse, eigvals_only=True)[0]))
 
 
@@ -101,7 +88,7 @@ def _gradients(grey: np.ndarray) -> np.ndarray:
     return np.array([[(right * right).mean(), cross], [cross, (down * down).mean()]]) + 0.02 * np.eye(2)
 
 
-def _neighbours(views: Sequence[View]) -> list[np.ndarray]:
+def _neighbours(views: Sequence[View], options: SharpnessOptions) -> list[np.ndarray]:
     """Return, for each view, the indices [K] int64 of the views that show about the same."""
     centers = np.array([view.camera.center for view in views])
     axes = np.array([view.camera.cam_from_world[2, :3] for view in views])
@@ -111,7 +98,7 @@ def _neighbours(views: Sequence[View]) -> list[np.ndarray]:
     found = []
     for i in range(len(views)):
         apart = np.linalg.norm(centers - centers[i], axis=1) / spread + np.linalg.norm(axes - axes[i], axis=1)
-        nearest = np.argsort(apart)[: _NEAREST + 1]
-        beside = order[max(place[i] - _BESIDE, 0) : place[i] + _BESIDE + 1]
+        nearest = np.argsort(apart)[: options.nearest + 1]
+        beside = order[max(place[i] - options.adjacent, 0) : place[i] + options.adjacent + 1]
         found.append(np.setdiff1d(np.union1d(nearest, beside), [i]))
     return found

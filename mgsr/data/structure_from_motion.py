@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mgsr.config.expert import CameraSearchOptions
 from mgsr.data.camera_search import CameraSearch, Tell
 from mgsr.data.image_pairs import choose_pairs
 from mgsr.data.registration import check_share
@@ -26,16 +27,11 @@ from mgsr.parallel import core_count
 
 _LEAST_REGISTERED = 0.25
 
-# COLMAP's own: one parameter of distortion, and 1.2 times the longer side where nothing is known of the focal length.
+# COLMAP's default, with one parameter of distortion.
 _LENS_MODEL = "SIMPLE_RADIAL"
-_FOCAL_FACTOR = 1.2
 
-# Features are found in photographs reduced to so many pixels a side. A thread holds up to 1 GB for one of this size.
-_FEATURE_SIDE = 2400
+# A thread holds up to 1 GB for a photograph.
 _MOST_THREADS = 8
-# Half of COLMAP's contrast, so that plain objects have features too. On 56 photographs of 480 x 360 pixels of a matte
-# toy, 56 instead of 53 are placed, and the mean error of their places falls from 0.25% to 0.08% of the distance.
-_PEAK = 0.0033
 # Photographs a thread and pairs of photographs between two reports.
 _PHOTOS_AT_ONCE = 2
 _PAIRS_AT_ONCE = 100
@@ -43,7 +39,6 @@ _PAIRS_AT_ONCE = 100
 # COLMAP gives up the placing of photographs after so many seconds, and so many more for each photograph.
 _MAPPING_SECONDS = 600
 _MAPPING_SECONDS_EACH = 30
-_MOST_MODELS = 10
 
 # Shares of the search that features and then matches have taken when they are complete.
 _FEATURES, _MATCHES = 0.35, 0.75
@@ -91,7 +86,11 @@ def load_pycolmap() -> Any:
 
 
 def find_model(
-    folder: SearchFolder, lenses: Sequence[SharedLens], frames: bool, search: CameraSearch
+    folder: SearchFolder,
+    lenses: Sequence[SharedLens],
+    frames: bool,
+    search: CameraSearch,
+    options: CameraSearchOptions = CameraSearchOptions(),
 ) -> tuple[Any, tuple[str, ...]]:
     """Return COLMAP's largest model of the photographs, a pycolmap.Reconstruction, and notes on it.
 
@@ -99,7 +98,11 @@ def find_model(
     Cancelled where `search.tell` does.
     """
     colmap = load_pycolmap()
-    model = max(_models(colmap, folder, lenses, frames, search), key=lambda each: each.num_reg_images(), default=None)
+    model = max(
+        _models(colmap, folder, lenses, frames, search, options),
+        key=lambda each: each.num_reg_images(),
+        default=None,
+    )
     total = sum(len(lens.shots) for lens in lenses)
     count = model.num_reg_images() if model is not None else 0
     cure = "take more photographs of a still, textured scene, with more overlap"
@@ -115,35 +118,44 @@ def find_model(
         f"found cameras of {count} photographs and {model.num_points3D()} points; the mean reprojection error is "
         f"{error:.2f} pixels"
     )
-    return model, (*notes, *zoom_note(colmap, model))
+    return model, (*notes, *zoom_note(colmap, model, options.zoom))
 
 
 def _models(
-    colmap: Any, folder: SearchFolder, lenses: Sequence[SharedLens], frames: bool, search: CameraSearch
+    colmap: Any,
+    folder: SearchFolder,
+    lenses: Sequence[SharedLens],
+    frames: bool,
+    search: CameraSearch,
+    options: CameraSearchOptions,
 ) -> Sequence[Any]:
     """Run COLMAP's feature extraction, matching and incremental mapping; return its models."""
     colmap.set_random_seed(search.seed)
     names = sorted(shot.name for lens in lenses for shot in lens.shots)
     if not folder.database.exists():
-        write_cameras(colmap, folder.database, folder.images, lenses)
+        write_cameras(colmap, folder.database, folder.images, lenses, options)
     search.say(f"finding features in {len(names)} photographs")
-    _find_features(colmap, folder, names, search.share(0, _FEATURES))
+    _find_features(colmap, folder, names, search.share(0, _FEATURES), options)
     work = folder.database.parent
-    pairs = choose_pairs(colmap, folder.database, names, frames, work, search.seed)
+    pairs = choose_pairs(colmap, folder.database, names, frames, work, search.seed, options.pairs)
     search.say(f"matching {len(pairs)} pairs of photographs")
     _match(colmap, folder, pairs, search.seed, search.share(_FEATURES, _MATCHES))
-    return _place(colmap, folder, len(names), search)
+    return _place(colmap, folder, len(names), search, options.max_models)
 
 
-def _find_features(colmap: Any, folder: SearchFolder, names: Sequence[str], tell: Tell) -> None:
+def _find_features(
+    colmap: Any, folder: SearchFolder, names: Sequence[str], tell: Tell, options: CameraSearchOptions
+) -> None:
     threads = min(_MOST_THREADS, core_count(None))
-    options = colmap.FeatureExtractionOptions(max_image_size=_FEATURE_SIDE, num_threads=threads)
-    options.sift.peak_threshold = _PEAK
+    extraction = colmap.FeatureExtractionOptions(max_image_size=options.feature_side, num_threads=threads)
+    extraction.sift.peak_threshold = options.peak
     portion = threads * _PHOTOS_AT_ONCE
     for first in range(0, len(names), portion):
         tell(first / len(names))
         portion_names = names[first : first + portion]
-        colmap.extract_features(folder.database, folder.images, image_names=portion_names, extraction_options=options)
+        colmap.extract_features(
+            folder.database, folder.images, image_names=portion_names, extraction_options=extraction
+        )
         folder.keep()
 
 
@@ -162,12 +174,12 @@ def _match(colmap: Any, folder: SearchFolder, pairs: Sequence[tuple[str, str]], 
         folder.keep()
 
 
-def _place(colmap: Any, folder: SearchFolder, count: int, search: CameraSearch) -> Sequence[Any]:
-    """Place the photographs one after the other, from their matches; return the models."""
+def _place(colmap: Any, folder: SearchFolder, count: int, search: CameraSearch, max_models: int) -> Sequence[Any]:
+    """Place the photographs one after the other, from their matches; return at most `max_models` models."""
     options = colmap.IncrementalPipelineOptions(
         random_seed=search.seed,
         min_model_size=min(10, count),
-        max_num_models=_MOST_MODELS,
+        max_num_models=max_models,
         max_runtime_seconds=_MAPPING_SECONDS + _MAPPING_SECONDS_EACH * count,
     )
     placed = _Counter(count, search, colmap.CancellationToken())
@@ -188,7 +200,13 @@ def _place(colmap: Any, folder: SearchFolder, count: int, search: CameraSearch) 
     return list(models.values())
 
 
-def write_cameras(colmap: Any, database: Path, folder: Path, lenses: Sequence[SharedLens]) -> None:
+def write_cameras(
+    colmap: Any,
+    database: Path,
+    folder: Path,
+    lenses: Sequence[SharedLens],
+    options: CameraSearchOptions = CameraSearchOptions(),
+) -> None:
     """Write a camera for each lens, and its photographs, into a new COLMAP database.
 
     COLMAP's own modes of camera sharing support neither several lenses in a folder nor EXIF in another file.
@@ -196,7 +214,7 @@ def write_cameras(colmap: Any, database: Path, folder: Path, lenses: Sequence[Sh
     with colmap.Database.open(str(database)) as opened:
         rigs = {}
         for lens in lenses:
-            camera = _camera(colmap, folder, lens)
+            camera = _camera(colmap, folder, lens, options.focal_guess)
             camera.camera_id = opened.write_camera(camera)
             rig = colmap.Rig()
             rig.add_ref_sensor(camera.sensor_id)
@@ -210,17 +228,17 @@ def write_cameras(colmap: Any, database: Path, folder: Path, lenses: Sequence[Sh
             opened.write_frame(frame)
 
 
-def _camera(colmap: Any, folder: Path, lens: SharedLens) -> Any:
+def _camera(colmap: Any, folder: Path, lens: SharedLens, focal_guess: float) -> Any:
     """Return a COLMAP camera with the focal length that EXIF gives.
 
     The 35 mm equivalent comes first; else the real focal length with the sensor's size, which COLMAP knows for many
-    cameras; else a guess from the image's size.
+    cameras; else `focal_guess` times the image's longer side.
     """
     focal = lens.tags.focal_pixels(lens.size)
     if focal is None and lens.tags.focal is not None:
         return colmap.infer_camera_from_image(folder / lens.shots[0].name)
     width, height = lens.size
-    guess = focal or _FOCAL_FACTOR * max(lens.size)
+    guess = focal or focal_guess * max(lens.size)
     camera = colmap.Camera.create_from_model_name(0, _LENS_MODEL, guess, width, height)
     camera.has_prior_focal_length = focal is not None
     return camera

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mgsr.config.expert import UndistortionOptions
 from mgsr.data.images import to_uint8
 from mgsr.data.lens import AnyLens
 from mgsr.data.pixels import PixelStore
@@ -21,23 +22,6 @@ _KEPT = 8
 
 # Rows per block, so that the working set stays in the CPU's cache: maps take an eighth of the time of whole images.
 _BAND = 32
-
-
-# The half angle of view, degrees, to which wide lenses are cropped: a pinhole spreads a fisheye's pixel at 60 degrees
-# over 7 of its own, and at 70 over 15. Of an action camera's photograph 60 degrees hold 90 of 100 pixels, in an image
-# of 2.5 times as many, four fifths of them valid; 65 hold 96 in 3.3 times as many, and 70 hold 99 in 4.5 times as many.
-HALF_ANGLE = 60.0
-
-# A rectangle that every photograph fills is cheaper than a mask: nothing has to be left out in training. It is taken
-# where it holds this share of the valid pixels. With phones and plain lenses it holds 98 to 99 of 100, with action
-# cameras 92 and with fisheyes 80.
-WHOLE_ENOUGH = 0.97
-
-# Undistortion enlarges an image at most by this factor along each side; a lens beyond it counts as a wide fisheye.
-_LARGEST = 2.0
-
-# Columns and rows of the coarse grid that finds the photograph's part of the image plane.
-_SKETCH = 128
 
 
 @dataclass(frozen=True)
@@ -79,22 +63,30 @@ class _ImagePlane:
     step: float = 1.0
 
 
-def undistortion(lens: AnyLens, K: np.ndarray, width: int, height: int, source: str) -> Undistortion:
-    """Compute a pinhole image with the photograph's focal lengths and its whole field of view up to HALF_ANGLE.
+def undistortion(
+    lens: AnyLens,
+    K: np.ndarray,
+    width: int,
+    height: int,
+    source: str,
+    options: UndistortionOptions = UndistortionOptions(),
+) -> Undistortion:
+    """Compute a pinhole image with the photograph's focal lengths and its field of view up to `options.half_angle`.
 
-    Where a rectangle holds nearly all of that field, the image is the rectangle. A pixel is valid exactly where the
-    lens projects its ray into the photograph, before its polynomial folds back. K [3,3] is in pixels. Raises SceneError
-    naming `source` if nothing is left.
+    Where a rectangle holds nearly all of that field, the image is the rectangle, as training then needs no mask. A
+    pixel is valid exactly where the lens projects its ray into the photograph, before its polynomial folds back. K
+    [3,3] is in pixels. Raises SceneError naming `source` if nothing is left.
     """
     photograph = _DistortedImage(lens, K, width, height)
-    frame = _frame(photograph)
+    widest = math.tan(math.radians(options.half_angle))
+    frame = _frame(photograph, widest, options)
     map_x, map_y = np.empty((2, frame.height, frame.width), np.float32)
     valid = np.empty((frame.height, frame.width), bool)
     for band in _bands(frame.height):
-        map_x[band], map_y[band], valid[band] = _mapped(photograph, frame, band)
+        map_x[band], map_y[band], valid[band] = _mapped(photograph, frame, widest, band)
     if not valid.all():
         valid = _around(K[:2, 2] - (frame.left, frame.top), valid)
-    rows, cols = _kept(valid)
+    rows, cols = _kept(valid, options.rectangle)
     if rows.stop - rows.start < 2 or cols.stop - cols.start < 2:
         raise SceneError(f"{source}: the lens distortion {lens} leaves no usable pixels; check its parameters")
     pinhole = K.copy()
@@ -112,8 +104,8 @@ class Undistorter:
     Many threads may use it at once.
     """
 
-    def __init__(self, pixels: PixelStore) -> None:
-        self._pixels = pixels
+    def __init__(self, pixels: PixelStore, options: UndistortionOptions = UndistortionOptions()) -> None:
+        self._pixels, self._options = pixels, options
         self._lock = threading.Lock()
         self._made: dict[tuple[object, ...], Future[Undistortion]] = {}
 
@@ -127,7 +119,7 @@ class Undistorter:
                 del self._made[next(iter(self._made))]
         if mine:
             try:
-                result.set_result(self._held(undistortion(lens, K, width, height, source)))
+                result.set_result(self._held(undistortion(lens, K, width, height, source, self._options)))
             except Exception as error:  # waiting threads need the error too
                 result.set_exception(error)
         return result.result()
@@ -160,16 +152,19 @@ def _bands(height: int) -> Iterator[slice]:
     return (slice(start, min(start + _BAND, height)) for start in range(0, height, _BAND))
 
 
-def _frame(photograph: _DistortedImage) -> _ImagePlane:
-    """Return the part of the image plane that the photograph shows, in whole pixels, found on a coarse sketch."""
+def _frame(photograph: _DistortedImage, widest: float, options: UndistortionOptions) -> _ImagePlane:
+    """Return the part of the image plane that the photograph shows, in whole pixels, found on a coarse sketch.
+
+    widest: the tangent of the largest angle from the optical axis.
+    """
     K = photograph.K
     lowest, highest = np.zeros(2), np.array([photograph.width, photograph.height])
-    reach = np.maximum(K[:2, 2] - lowest, highest - K[:2, 2]) * _LARGEST
-    reach = np.minimum(reach, math.tan(math.radians(HALF_ANGLE)) * K.diagonal()[:2])
-    step = max(1.0, float(reach.max()) * 2 / _SKETCH)
+    reach = np.maximum(K[:2, 2] - lowest, highest - K[:2, 2]) * options.max_growth
+    reach = np.minimum(reach, widest * K.diagonal()[:2])
+    step = max(1.0, float(reach.max()) * 2 / options.sketch)
     left, top = (K[:2, 2] - reach).tolist()
     width, height = np.ceil(2 * reach / step).astype(int).tolist()
-    _, _, shown = _mapped(photograph, _ImagePlane(left, top, width, height, step), slice(0, height))
+    _, _, shown = _mapped(photograph, _ImagePlane(left, top, width, height, step), widest, slice(0, height))
     shown = _around((K[:2, 2] - (left, top)) / step, shown)
     rows, cols = (np.flatnonzero(shown.any(axis=axis)) for axis in (1, 0))
     if not len(rows):
@@ -181,8 +176,11 @@ def _frame(photograph: _DistortedImage) -> _ImagePlane:
     return _ImagePlane(*first.tolist(), *size)
 
 
-def _mapped(photograph: _DistortedImage, frame: _ImagePlane, rows: slice) -> tuple[np.ndarray, ...]:
-    """Return map_x and map_y [rows,width] of an `Undistortion`, and which of these pixels the photograph shows."""
+def _mapped(photograph: _DistortedImage, frame: _ImagePlane, widest: float, rows: slice) -> tuple[np.ndarray, ...]:
+    """Return map_x and map_y [rows,width] of an `Undistortion`, and which of these pixels the photograph shows.
+
+    widest: the tangent of the largest angle from the optical axis.
+    """
     K, width, height = photograph.K, photograph.width, photograph.height
     (fx, fy), (cx, cy) = K.diagonal()[:2].tolist(), K[:2, 2].tolist()
     # With a border of one pixel, to see folds. float32 places a pixel to a thousandth.
@@ -193,7 +191,6 @@ def _mapped(photograph: _DistortedImage, frame: _ImagePlane, rows: slice) -> tup
         map_x, map_y = bent_x * fx + (cx - 0.5), bent_y * fy + (cy - 0.5)
         inside = (map_x >= -0.5) & (map_x <= width - 0.5) & (map_y >= -0.5) & (map_y <= height - 0.5)
         shown = inside[1:-1, 1:-1] & _unfolded(map_x, map_y)
-    widest = math.tan(math.radians(HALF_ANGLE))
     if max(np.abs(x).max(), np.abs(y).max()) > widest / 2**0.5:
         shown &= (x**2)[None, 1:-1] + (y**2)[1:-1, None] <= widest**2
     return map_x[1:-1, 1:-1], map_y[1:-1, 1:-1], shown
@@ -221,14 +218,14 @@ def _around(place: np.ndarray, shown: np.ndarray) -> np.ndarray:
     return connected
 
 
-def _kept(valid: np.ndarray) -> tuple[slice, slice]:
-    """Return the rows and columns of a rectangle of valid pixels [H,W] if it holds nearly all of them.
+def _kept(valid: np.ndarray, share: float) -> tuple[slice, slice]:
+    """Return the rows and columns of a rectangle of valid pixels [H,W] if it holds at least a share of them.
 
     Otherwise return the bounding box of all valid pixels.
     """
     rows, columns = largest_rectangle(valid)
     inner = valid[rows, columns]
-    if inner.all() and inner.size >= WHOLE_ENOUGH * valid.sum():
+    if inner.all() and inner.size >= share * valid.sum():
         return rows, columns
     along, across = (np.flatnonzero(valid.any(axis=axis)) for axis in (1, 0))
     if not len(along):

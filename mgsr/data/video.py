@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from mgsr.config.expert import FrameOptions
 from mgsr.data.images import linear_to_srgb, reduce_area, to_uint8
 from mgsr.data.odd_files import what_instead
 from mgsr.errors import ConfigError, SceneError, in_short
@@ -37,8 +38,6 @@ _HIGH_DEFINITION = 720
 # (ITU-R BT.2408, 203 cd/m2, in scene light for HLG).
 _HLG_WHITE = 0.265
 _PQ_WHITE = 0.0203
-# Brighter light than this share of diffuse white is compressed.
-_KNEE = 0.8
 
 # Linear light of BT.2020 to that of sRGB (ITU-R BT.2087).
 _SRGB_FROM_BT2020 = np.array(
@@ -161,7 +160,7 @@ def _check_streams(path: Path, container: Any) -> None:
     known = {"dav1d": "av1", "vpx": "vp9"}
     if known.get(name or "", name) not in _CODECS:
         cure = "convert it with `ffmpeg -i VIDEO -c:v libx264 -crf 15 VIDEO.mp4`"
-        raise SceneError(f"{path.name}: videos by the codec {name} are not read, but H.264, HEVC, VP9 and AV1; {cure}")
+        raise SceneError(f"{path.name}: expected H.264, HEVC, VP8, VP9 or AV1 video, got the codec {name}; {cure}")
 
 
 def _check_declared(video: Video, container: Any, limits: VideoLimits) -> None:
@@ -186,15 +185,17 @@ def _damaged(path: Path, reason: str) -> SceneError:
     return SceneError(f"{path.name}: a damaged or cut off video: {reason}; copy it again")
 
 
-def picture_of(frame: Any, most_side: int) -> np.ndarray:
+def picture_of(frame: Any, most_side: int, knee: float = FrameOptions().knee) -> np.ndarray:
     """Return a frame [H,W,3] as 8-bit sRGB, upright, and reduced to at most `most_side` pixels a side.
 
-    HLG and PQ (ITU-R BT.2100) are shown with their diffuse white as white, and brighter light compressed.
+    HLG and PQ (ITU-R BT.2100) are shown with their diffuse white as white. Light that is brighter than `knee` times
+    that white is compressed.
     """
     matrix = _matrix(frame)
     if frame.color_trc in (_PQ, _HLG):
         signal = frame.to_ndarray(format="rgb48le", src_colorspace=matrix) / np.float32(65535)
-        colors = _as_srgb(signal.astype(np.float32), int(frame.color_trc), wide=frame.color_primaries == _BT2020)
+        wide = frame.color_primaries == _BT2020
+        colors = _as_srgb(signal.astype(np.float32), int(frame.color_trc), wide, knee)
     else:
         colors = frame.to_ndarray(format="rgb24", src_colorspace=matrix)
     shrink = most_side / max(colors.shape[:2])
@@ -212,15 +213,15 @@ def _matrix(frame: Any) -> int:
     return stated
 
 
-def _as_srgb(signal: np.ndarray, curve: int, wide: bool) -> np.ndarray:
+def _as_srgb(signal: np.ndarray, curve: int, wide: bool, knee: float) -> np.ndarray:
     """Convert a HDR signal [H,W,3], 0..1, to 8-bit sRGB. wide: whether its primaries are those of BT.2020."""
     light = _pq_light(signal) / _PQ_WHITE if curve == _PQ else _hlg_light(signal) / _HLG_WHITE
     if wide:
         light = light @ _SRGB_FROM_BT2020.T
     light = np.maximum(light, 0)
-    over = np.maximum(light - _KNEE, 0)
-    bent = _KNEE + (1 - _KNEE) * over / (over + 1 - _KNEE)  # with the same slope at the knee; infinity becomes 1
-    return to_uint8(255 * linear_to_srgb(np.where(light < _KNEE, light, bent)))
+    over = np.maximum(light - knee, 0)
+    bent = knee + (1 - knee) * over / (over + 1 - knee)  # with the same slope at the knee; infinity becomes 1
+    return to_uint8(255 * linear_to_srgb(np.where(light < knee, light, bent)))
 
 
 def _hlg_light(signal: np.ndarray) -> np.ndarray:

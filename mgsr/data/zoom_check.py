@@ -7,25 +7,21 @@ from typing import Any
 
 import numpy as np
 
-# A focal length that a photograph's own points put this far from the shared one was not the shared one. Photographs
-# with a fixed lens stay within 0.02 in all captures that were measured; those with a zoom of 1.1 pass 0.03 often.
-_FITS = 0.03
-_FEWEST_POINTS = 30
-# Where fewer photographs than these don't fit, blur or moving things explain it.
-_LEAST_SHARE = 0.05
-_FEWEST_PHOTOS = 2
+from mgsr.config.expert import ZoomCheckOptions
 
 
-def zoom_note(colmap: Any, model: Any) -> tuple[str, ...]:
+def zoom_note(colmap: Any, model: Any, options: ZoomCheckOptions = ZoomCheckOptions()) -> tuple[str, ...]:
     """Return a note if several photographs that share a lens in a model would each need another focal length.
 
     model: a pycolmap.Reconstruction; its points are held fixed. Zoomed or cropped photographs are of this kind.
     """
     placed = [image for image in model.images.values() if image.has_pose]
     sharing = Counter(image.camera_id for image in placed)
-    ratios = [_focal_ratio(colmap, model, image) for image in placed if sharing[image.camera_id] > 1]
-    off = sum(abs(ratio - 1) > _FITS for ratio in ratios)
-    if off < max(_FEWEST_PHOTOS, _LEAST_SHARE * len(ratios)):
+    ratios = [
+        _focal_ratio(colmap, model, image, options.min_points) for image in placed if sharing[image.camera_id] > 1
+    ]
+    off = sum(abs(ratio - 1) > options.max_change for ratio in ratios)
+    if off < max(options.min_photographs, options.min_share * len(ratios)):
         return ()
     return (
         f"{off} of {len(ratios)} photographs do not fit the lens that they share with others; if you zoomed or "
@@ -33,18 +29,18 @@ def zoom_note(colmap: Any, model: Any) -> tuple[str, ...]:
     )
 
 
-def _focal_ratio(colmap: Any, model: Any, image: Any) -> float:
+def _focal_ratio(colmap: Any, model: Any, image: Any, min_points: int) -> float:
     """Return the focal length fitted to a photograph alone, divided by its lens's.
 
-    It is 1 where it can't be estimated.
+    It is 1 where it can't be estimated: with fewer than `min_points` points, or where COLMAP finds none.
     """
     seen = [point for point in image.points2D if point.has_point3D()]
-    if len(seen) < _FEWEST_POINTS:
+    if len(seen) < min_points:
         return 1.0
     pixels = np.array([point.xy for point in seen])
     places = np.array([model.points3D[point.point3D_id].xyz for point in seen])
-    options = colmap.AbsolutePoseRefinementOptions(refine_focal_length=True, refine_extra_params=False)
+    refinement = colmap.AbsolutePoseRefinementOptions(refine_focal_length=True, refine_extra_params=False)
     camera = colmap.Camera(image.camera.todict())  # it is changed in place
     everything = np.ones(len(seen), dtype=bool)
-    refined = colmap.refine_absolute_pose(image.cam_from_world(), pixels, places, everything, camera, options)
+    refined = colmap.refine_absolute_pose(image.cam_from_world(), pixels, places, everything, camera, refinement)
     return 1.0 if refined is None else float(camera.focal_length / image.camera.focal_length)

@@ -122,7 +122,7 @@ def _scaled(places: np.ndarray, scale: float) -> np.ndarray:
     largest, limits = np.abs(scaled).max(initial=0), np.finfo(np.float32)
     if np.any(places) and not limits.tiny <= largest <= limits.max:
         raise ConfigError(
-            f"--scale {scale:g}would turn coordinates of up to {np.abs(places).max():g} units into {largest:g}; "
+            f"--scale {scale:g} would turn coordinates of up to {np.abs(places).max():g} units into {largest:g}; "
             f"expected {limits.tiny:.0e} to {limits.max:.0e}; choose a scale nearer to 1"
         )
     return scaled

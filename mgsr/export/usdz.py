@@ -51,7 +51,7 @@ def write_usdz(path: Path, mesh: Mesh, uvs: np.ndarray, material: PbrMaterial, u
         for name in ("model.usdc", *(f"{name}.png" for name in _MAPS)):
             package.AddFile(str(Path(folder) / name), name)
         if not package.Save():
-            raise MgsrError(f"{path}: the USD package cannot be written; look at the path and the free space")
+            raise MgsrError(f"{path}: the USD package cannot be written; check the path and the free disk space")
 
 
 def _define_mesh(stage: Any, mesh: Mesh, uvs: np.ndarray, turn: np.ndarray) -> Any:

@@ -79,13 +79,14 @@ def check_photographs(
     scene: Scene, views: Sequence[View], names: Sequence[str], tracks: Tracks, options: InspectionConfig
 ) -> list[Finding]:
     """Return the findings that need no pairs of photographs. tracks: points that photographs share."""
-    found = [*check_sharpness(views, names), *check_exposures(views, names, options.photos)]
+    found = check_sharpness(views, names, scene.options.sharpness)
+    found += check_exposures(views, names, options.photos, scene.options.brightness)
     found += check_sides([view.camera for view in views], names, scene.user_from_scene, options.coverage)
     target = np.median(tracks.points, axis=0) if len(tracks.points) >= options.min_points else np.zeros(3)
     found += check_parallax(np.array([view.camera.center for view in views]), target, options.coverage)
     found += check_object_size(scene, views, options.photos)
     if scene.masked:
-        found += check_masks(scene.train, names[: len(scene.train)], options.photos)
+        found += check_masks(scene.train, names[: len(scene.train)], options.photos, scene.options.odd_masks)
     found += check_lenses(views, names, options.photos)
     if scene.warning is not None:
         what, _, cure = scene.warning.partition("; ")

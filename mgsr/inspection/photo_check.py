@@ -6,19 +6,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mgsr.config.expert import PhotoCheckOptions
+from mgsr.config.expert import BrightnessOptions, OddMaskOptions, PhotoCheckOptions, SharpnessOptions
 from mgsr.data.exposure import brightness_offsets, robust_jump
-from mgsr.data.odd_masks import FEWEST, left_out_shares
+from mgsr.data.odd_masks import left_out_shares
 from mgsr.data.scene import Scene, View
-from mgsr.data.sharpness import MUCH, lost_sharpness
+from mgsr.data.sharpness import lost_sharpness
 from mgsr.data.silhouettes import silhouettes
 from mgsr.inspection.findings import Code, Finding, Severity, pick
 
 
-def check_sharpness(views: Sequence[View], names: Sequence[str]) -> list[Finding]:
+def check_sharpness(
+    views: Sequence[View], names: Sequence[str], options: SharpnessOptions = SharpnessOptions()
+) -> list[Finding]:
     """Return a finding on photographs that are much less sharp than their neighbours."""
-    lost = lost_sharpness(views)
-    less = np.flatnonzero(lost > MUCH)
+    lost = lost_sharpness(views, options)
+    less = np.flatnonzero(lost > options.max_loss)
     if not len(less):
         return []
     return [
@@ -35,13 +37,16 @@ def check_sharpness(views: Sequence[View], names: Sequence[str]) -> list[Finding
 
 
 def check_exposures(
-    views: Sequence[View], names: Sequence[str], options: PhotoCheckOptions = PhotoCheckOptions()
+    views: Sequence[View],
+    names: Sequence[str],
+    options: PhotoCheckOptions = PhotoCheckOptions(),
+    brightness: BrightnessOptions = BrightnessOptions(),
 ) -> list[Finding]:
     """Return a finding where photographs are much brighter or darker than those from about the same place."""
     if len(views) < 6:
         return []
-    offsets = brightness_offsets(views)
-    spread = robust_jump(offsets)
+    offsets = brightness_offsets(views, brightness)
+    spread = robust_jump(offsets, brightness)
     odd = np.flatnonzero(np.abs(offsets - np.median(offsets)) > max(np.log(options.outlier), 5 * spread))
     if spread < options.jumps and not len(odd):
         return []
@@ -88,7 +93,10 @@ def check_object_size(
 
 
 def check_masks(
-    views: Sequence[View], names: Sequence[str], options: PhotoCheckOptions = PhotoCheckOptions()
+    views: Sequence[View],
+    names: Sequence[str],
+    options: PhotoCheckOptions = PhotoCheckOptions(),
+    odd_masks: OddMaskOptions = OddMaskOptions(),
 ) -> list[Finding]:
     """Return findings on masks that cut the object off, or that contradict the others; the views need masks."""
     outlines = silhouettes(views, options.contour_side)
@@ -106,9 +114,9 @@ def check_masks(
                 pick(names, np.flatnonzero(cut)),
             )
         )
-    if len(views) < FEWEST:
+    if len(views) < odd_masks.min_views:
         return found
-    shares = left_out_shares(views, outlines)
+    shares = left_out_shares(views, outlines, odd_masks)
     odd = np.flatnonzero(shares > options.left_out)
     if len(odd):
         found.append(

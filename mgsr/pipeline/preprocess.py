@@ -11,6 +11,7 @@ import numpy as np
 
 from mgsr.budget.budget import TimeBudget
 from mgsr.config import Config, DataConfig, Exposure, object_box
+from mgsr.config.expert import DataOptions
 from mgsr.data.camera_search import CameraSearch
 from mgsr.data.exposure import evened
 from mgsr.data.find_cameras import with_cameras
@@ -67,7 +68,7 @@ def take_scene(
         elif out is not None and not found.folder.root.resolve().is_relative_to((out / CAMERAS).resolve()):
             CameraFolder(out / CAMERAS).clear()  # an earlier run's, of other photographs
         with step.clock.step("load"):
-            scene = load_capture(found, config.data, partial(_tell_loading, step))
+            scene = load_capture(found, config.data, partial(_tell_loading, step), config.expert.data)
     if out is not None:
         result_files.clear_reports(out)
     for text in (scene_line(scene), *scene.notes, *origin_notes(scene.user_from_scene, config.output.scale)):
@@ -86,7 +87,7 @@ def _with_cameras(found: FoundScene, out: Path | None, config: Config, step: Ste
             say=lambda line: step.progress(Event("cameras", line)),
             tell=step.share("cameras", text),
         )
-        return with_cameras(found, config.data, search)
+        return with_cameras(found, config.data, search, config.expert.data)
 
 
 def _tell_loading(step: Steps, done: int, total: int) -> None:
@@ -99,7 +100,7 @@ def load_again(path: Path, out: Path, config: Config) -> Scene:
     Raises SceneError, also where the cameras are missing.
     """
     search = CameraSearch(folder=out / CAMERAS, known_only=True, seed=config.seed)
-    return without_flawed(load_scene(path, config.data, search=search), config)
+    return without_flawed(load_scene(path, config.data, search=search, options=config.expert.data), config)
 
 
 def as_read(scene: Scene, config: Config) -> Config:
@@ -120,7 +121,13 @@ def as_read(scene: Scene, config: Config) -> Config:
                 f"data.{item.name}: {scene.name} is loaded with {read}, got {asked}; pass the setting to load_scene, "
                 "or pass the scene's path in place of the scene"
             )
-    return replace(config, data=DataConfig(**chosen))
+    options = scene.options if config.expert.data == DataOptions() else config.expert.data
+    if options != scene.options:
+        raise ConfigError(
+            f"expert.data: {scene.name} is loaded with other options; pass the options to load_scene, or pass the path "
+            "in place of the scene"
+        )
+    return replace(config, data=DataConfig(**chosen), expert=replace(config.expert, data=options))
 
 
 def preprocess(

@@ -152,7 +152,7 @@ def outlined_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
         return scene
     with torch.no_grad():
         masks = [to_uint8(255 * _opacity(model, view.camera)) for view in scene.train]
-    return with_masks(scene, masks) if leave_borders_free(masks) else scene
+    return with_masks(scene, masks) if leave_borders_free(masks, scene.options.mask_use) else scene
 
 
 def scene_silhouettes(scene: Scene, side: int = MeshOptions().mask_side) -> list[Silhouette]:

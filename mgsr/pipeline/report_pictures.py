@@ -9,6 +9,7 @@ import numpy as np
 
 from mgsr.data.backdrop import Color
 from mgsr.data.scene import Scene, View
+from mgsr.data.up_direction import up_direction
 from mgsr.export.renders import on_background
 from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.mesh.surface import ReconstructedMesh
@@ -28,7 +29,7 @@ from mgsr.report.pictures import (
     normal_picture,
     premultiplied_picture,
 )
-from mgsr.report.shading import MeshPainter, PaintedMesh, surface_pictures, up_direction
+from mgsr.report.shading import MeshPainter, PaintedMesh, surface_pictures
 
 MASKS = 6  # photographs that show a found object's masks
 
@@ -80,7 +81,7 @@ def report_pictures(
 
 
 def _up(scene: Scene) -> np.ndarray:
-    return up_direction([view.camera for view in scene.train])
+    return up_direction([view.camera for view in scene.train], scene.options.up)
 
 
 def _mask_pictures(views: Sequence[View], agreement: Mapping[str, float]) -> list[Picture]:

@@ -16,6 +16,7 @@ from mgsr.config import Config, OutputConfig, Up
 from mgsr.config.expert import IrradianceOptions
 from mgsr.data.exposure import evened
 from mgsr.data.scene import Exposures, Scene, Similarity
+from mgsr.data.up_direction import up_direction
 from mgsr.errors import MgsrError, in_short
 from mgsr.export.environment_map import StoredEnvironmentMap, load_environment_map, write_environment_map
 from mgsr.export.far_origin import about_origin, origin_of_frame
@@ -56,7 +57,6 @@ from mgsr.report.data import ReportData
 from mgsr.report.decisions import with_decisions
 from mgsr.report.html import write_report_html
 from mgsr.report.pictures import ReportPictures
-from mgsr.report.shading import up_direction
 from mgsr.shading.lighting import Lighting, lit_scene
 
 
@@ -242,7 +242,7 @@ def _up(scene: Scene, output: OutputConfig) -> UpDirection:
     """Return the up axis or direction [3] in the user's frame, which has the scene's axes."""
     if output.up is not Up.AUTO:
         return UpAxis(output.up.value)
-    return up_direction([view.camera for view in scene.train])
+    return up_direction([view.camera for view in scene.train], scene.options.up)
 
 
 def read_mesh(out: Path) -> ReconstructedMesh:

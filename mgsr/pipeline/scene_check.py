@@ -71,7 +71,10 @@ def without_contradictory(scene: Scene, inspection: Inspection) -> Scene:
     train = list(compress(scene.train, kept))
     test = list(compress(scene.test, kept[len(scene.train) :]))
     if len(train) < 2:
-        raise SceneError(f"{scene.name}: {len(train)} training photographs are left without those of wrong poses")
+        raise SceneError(
+            f"{scene.name}: expected at least 2 training photographs whose poses do not contradict what they show, got "
+            f"{len(train)}; find the cameras again with `mgsr poses`"
+        )
     note = f"the poses of {len(odd)} of {len(names)} photographs contradict what they show ({shown(odd)}): left out"
     return replace(scene, train=train, test=test, notes=(*scene.notes, note))
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from mgsr.budget.budget import TimeBudget
 from mgsr.budget.costs import Facts, cameras_cost, load_cost, start_cost
-from mgsr.budget.line import HIGHEST
 from mgsr.config import PRESETS, Config, Object
 from mgsr.data.find_cameras import PHOTOGRAPHS
 from mgsr.data.loading import reduced_view
@@ -80,7 +79,7 @@ def fitted_scene(scene: Scene, budget: TimeBudget, config: Config, clock: StepCl
 
 def most_points(config: Config, budget: TimeBudget | None) -> int:
     """Return how many starting points may be of use."""
-    settings = config if budget is None else budget.line.at(HIGHEST)
+    settings = config if budget is None else budget.line.at(config.expert.budget.highest)
     return max(settings.train.surfels.max_start, settings.train.gaussians.max_start)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,13 +24,6 @@ OCCLUSION_RAYS = 12  # per sample; four samples make a pixel
 OCCLUSION_REACH = 0.35  # of the mesh's radius: what lies farther darkens nothing
 OCCLUSION_SPREAD = 4  # samples to either side that lend each other their rays, where the surface goes on evenly
 EVEN_NORMAL, EVEN_STEP = 0.9, 0.01  # there: the least cosine between normals, and the most of the mesh's radius off
-
-# Thresholds of the search for the up direction.
-NEAR_AXIS = 20.0  # degrees within which the up direction snaps to an axis
-CANCELLED = 0.1  # length of the mean of the cameras' up vectors below which it is unreliable
-LYING = 0.9  # length of the mean of their right vectors above which all lie on their side
-LEVEL = 0.14  # root mean square of the sines by which level cameras lean to a side: 8 degrees
-ROUND = 0.1  # mean square of the cameras' right sides across their main direction from which they look round
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,51 +166,6 @@ def side_camera(painter: MeshPainter, up: np.ndarray, front: np.ndarray, angle: 
     level = np.cos(turn) * ahead + np.sin(turn) * np.cross(up, ahead)
     toward = np.cos(tilt) * level + np.sin(tilt) * up
     return _look_at(painter.center + 4.5 * painter.radius * toward, toward, up, 4.2, size)
-
-
-def up_direction(cameras: Sequence[Camera]) -> np.ndarray:
-    """Return the direction [3] that points up in the cameras' frame, of length 1.
-
-    It starts from the mean of the cameras' up vectors. It snaps to an axis within NEAR_AXIS degrees, or to the nearest
-    axis if the cameras are level under it. Otherwise it is the direction under which the cameras are most nearly level,
-    if their directions vary enough: the mean itself tilts where cameras look down from one side more than from the
-    others.
-    """
-    rows = np.array([camera.cam_from_world[:2, :3] for camera in cameras])
-    rights = rows[:, 0]
-    mean: np.ndarray = -rows[:, 1].mean(axis=0)
-    if np.linalg.norm(mean) < CANCELLED:
-        return _side_up(rights)
-    mean = mean / np.linalg.norm(mean)
-    axis = _nearest_axis(mean)
-    if _near(mean, axis) or np.sqrt(((rights @ axis) ** 2).mean()) < LEVEL:
-        return axis
-    spreads, directions = np.linalg.eigh(rights.T @ rights / len(rights))
-    if spreads[0] > LEVEL**2 or spreads[1] < ROUND:
-        return mean
-    level = directions[:, 0] * np.sign(directions[:, 0] @ mean)
-    axis = _nearest_axis(level)
-    return axis if _near(level, axis) else level
-
-
-def _side_up(rights: np.ndarray) -> np.ndarray:
-    """Return the up axis [3] of cameras without a common up vector; rights [C,3]: their right vectors.
-
-    It is the axis to their right if all lie on their side, as beside a turntable; else z.
-    """
-    mean = rights.mean(axis=0)
-    return _nearest_axis(mean) if np.linalg.norm(mean) > LYING else np.array((0.0, 0.0, 1.0))
-
-
-def _nearest_axis(direction: np.ndarray) -> np.ndarray:
-    """Return the signed axis [3] that is nearest to a direction [3]."""
-    axis = int(np.abs(direction).argmax())
-    return np.asarray(np.sign(direction[axis]) * np.eye(3)[axis])
-
-
-def _near(direction: np.ndarray, axis: np.ndarray) -> bool:
-    """Return whether a direction [3] is within NEAR_AXIS of an axis [3], both unit."""
-    return bool(direction @ axis > np.cos(np.radians(NEAR_AXIS)))
 
 
 def bounding_ball(points: np.ndarray) -> tuple[np.ndarray, float]:

@@ -45,7 +45,9 @@ def find_exposures(
     Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """
     options = expert.training.exposure
-    if len(scene.train) < options.min_views or brightness_jumps(scene.train) < options.min_jump:
+    if len(scene.train) < options.min_views:
+        return None
+    if brightness_jumps(scene.train, scene.options.brightness) < options.min_jump:
         return None
     degrees, small = (0, options.degree), [small_view(view, options.proxy.side) for view in scene.train]
     with one_torch_thread():

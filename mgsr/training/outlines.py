@@ -69,7 +69,7 @@ def learned_outlines(
         views = [small_view(view, proxy.side) for view in scene.train]
         fine = learned(start, views, options.iterations, 0.0, lambda done: progress(share + (1 - share) * done))
         masks = _opacities(fine, scene.train, proxy.side)
-    return masks if leave_borders_free(masks) else None
+    return masks if leave_borders_free(masks, scene.options.mask_use) else None
 
 
 @torch.no_grad()

@@ -169,7 +169,7 @@ class Trainer:
             guard = Guard(stage, self.config.watch.check_every, self.incidents)
             for done in range(iterations):
                 if self.should_stop is not None and self.should_stop():
-                    raise self._cancelled(f"stopped on request during the trial of {candidate}")
+                    raise self._cancelled(f"stopped on request while model selection trained {candidate}")
                 loss, _ = self._iterate(stage, guard)
                 if self.progress is not None and (done + 1) % self.config.watch.report_every == 0:
                     report = self._report(stage, loss, last=False)

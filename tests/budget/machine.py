@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mgsr.budget import costs
-from mgsr.budget.budget import PERIOD, TimeBudget
+from mgsr.budget.budget import TimeBudget
 from mgsr.budget.costs import Facts
 from mgsr.config import Config, MeshConfig
 from mgsr.training.stage_scheduler import FINISH
@@ -126,7 +126,8 @@ def _run_stage(
     stage.iterations = budget.length(stages, index, splats)
     while stage.iteration < stage.iterations:
         # The budget looks at the clock after as many only, unless the stage is about to end.
-        at_once = PERIOD if stage.iterations - stage.iteration > 2 * PERIOD else 1
+        period = budget.options.period
+        at_once = period if stage.iterations - stage.iteration > 2 * period else 1
         machine.work(stage.name, at_once * costs.iteration_cost(stage.name, facts, splats))
         stage.iteration += at_once
         if stage.iteration < stage.iterations:

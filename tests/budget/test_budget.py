@@ -10,13 +10,14 @@ import pytest
 
 from mgsr.budget.budget import TimeBudget
 from mgsr.budget.costs import Facts
-from mgsr.budget.line import HIGHEST, LOWEST
 from mgsr.config import make_config
+from mgsr.config.expert import BudgetOptions
 from tests.budget.machine import Machine, Speed, run_on, steady, stepped, wavy
 from tests.optional import present
 
 USUAL = Facts(views=48, tests=8, pixels=256 * 256, truth=True, shiny=True)
 CONFIG = make_config()
+LOWEST, HIGHEST = BudgetOptions().lowest, BudgetOptions().highest
 STEPS = ("start", "mesh", "evaluate", "report", "warmup_surfels", "warmup_gaussians", "mutual", "finish")
 
 

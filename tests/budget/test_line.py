@@ -6,8 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from mgsr.budget.line import HIGHEST, LOWEST, SettingsLine, value_at
+from mgsr.budget.line import SettingsLine, value_at
 from mgsr.config import METHODS, PRESETS, make_config
+from mgsr.config.expert import BudgetOptions
+
+LOWEST, HIGHEST = BudgetOptions().lowest, BudgetOptions().highest
 
 
 @pytest.mark.parametrize("method", METHODS)

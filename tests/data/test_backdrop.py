@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mgsr.config import Background
+from mgsr.config.expert import BackdropOptions, DataOptions
 from mgsr.data.backdrop import BLACK, WHITE, Backdrop
 from tests.training.ball import before
 
@@ -30,6 +31,15 @@ def test_no_backdrop_where_the_borders_differ_or_nothing_stands_before_it() -> N
     assert half.plain_backdrop is None
     empty = [replace(view, image=np.full_like(view.image, 40)) for view in scene.train]
     assert replace(scene, train=empty).plain_backdrop is None
+
+
+def test_the_scenes_options_decide() -> None:
+    scene = before(GREY, noise=20)
+    tolerant = DataOptions(backdrop=BackdropOptions(plain=70, different=71, near=70))
+    found = replace(scene, options=tolerant).backdrop(Background.AUTO)
+    assert found.plain and found.near == 70
+    colors = np.array([GREY, (GREY[0] + 60, *GREY[1:])], np.uint8)
+    assert found.hides(colors).all() and not before(GREY).backdrop(Background.AUTO).hides(colors[1:]).any()
 
 
 def test_unknown_pixels_are_no_border() -> None:

@@ -8,14 +8,16 @@ import cv2
 import numpy as np
 import pytest
 
+from mgsr.config.expert import UndistortionOptions
 from mgsr.data.formats.colmap import _MODELS, checked_camera, to_pinhole
 from mgsr.data.lens import DivisionLens, Lens
 from mgsr.data.pixels import PixelStore
-from mgsr.data.undistortion import HALF_ANGLE, Undistorter, resample, undistortion
+from mgsr.data.undistortion import Undistorter, resample, undistortion
 from mgsr.errors import SceneError
 
 pycolmap = pytest.importorskip("pycolmap")
 
+HALF_ANGLE = UndistortionOptions().half_angle
 RNG = np.random.default_rng(5)
 RAYS = np.c_[RNG.uniform(-0.7, 0.7, (40, 2)), np.ones(40)]
 K = np.array([[60.0, 0, 47], [0, 70, 31], [0, 0, 1]])
@@ -130,7 +132,7 @@ def test_what_is_known_is_what_the_photograph_shows(lens: Lens, focal: float) ->
 def followed(
     lens: Lens, K: np.ndarray, pixels: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return whether the photograph shows what pinhole pixels show up to HALF_ANGLE, where, and which are certain.
+    """Return whether the photograph shows what pinhole pixels show up to the half angle, where, and which are certain.
 
     Uncertain pixels lie on an edge, to a thousandth of a pixel, or within a pixel of a fold. OpenCV projects a ray that
     turns from the axis to the pixel in 400 steps, and must go outwards all the way without leaving the photograph.

@@ -127,7 +127,7 @@ def test_other_codecs_are_refused(tmp_path: Path) -> None:
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
         container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8), format="rgb24")))
         container.mux(stream.encode())
-    refused(path, "the codec mpeg4 are not read, but H.264, HEVC, VP9 and AV1; convert it with `ffmpeg")
+    refused(path, "expected H.264, HEVC, VP8, VP9 or AV1 video, got the codec mpeg4; convert it with `ffmpeg")
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".webm"])

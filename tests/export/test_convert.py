@@ -128,7 +128,7 @@ def test_scales_that_files_can_not_hold(tmp_path: Path, scale: float) -> None:
         ("mesh.ply", "b.glb"),
     ):
         with pytest.raises(
-            ConfigError, match=r"--scale 1e[-+].*would turn coordinates of up to .* choose a scale nearer to 1"
+            ConfigError, match=r"--scale 1e[-+]\d+ would turn coordinates of up to .* choose a scale nearer to 1"
         ):
             convert(tmp_path / source, tmp_path / target, scale)
 

@@ -85,7 +85,7 @@ def changed(node: Any) -> Any:
 
 
 def _next(value: float) -> float:
-    return value + 1 if isinstance(value, int) else value * 1.01
+    return value + 1 if isinstance(value, int) else value * 1.01 or 0.01
 
 
 def parts(node: Any) -> list[Any]:

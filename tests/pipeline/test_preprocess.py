@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from mgsr.config import DataConfig, Exposure, Masks, make_config
+from mgsr.config.expert import DataOptions, SharpnessOptions
 from mgsr.data.scene import Scene, Similarity
 from mgsr.errors import ConfigError
 from mgsr.pipeline.preprocess import as_read
@@ -31,3 +32,11 @@ def test_exposures_are_dealt_with_later() -> None:
 def test_others_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"data\.max_side: cup is loaded with 800, got 400"):
         as_read(SCENE, make_config(overrides={"max_side": 400}))
+
+
+def test_options_of_the_reading_are_the_scenes() -> None:
+    scene = replace(SCENE, options=DataOptions(sharpness=SharpnessOptions(max_loss=0.7)))
+    for overrides in ({}, {"expert.data.sharpness.max_loss": 0.7}):
+        assert as_read(scene, make_config(overrides=overrides)).expert.data == scene.options
+    with pytest.raises(ConfigError, match=r"expert\.data: cup is loaded with other options"):
+        as_read(SCENE, make_config(overrides={"expert.data.sharpness.max_loss": 0.7}))

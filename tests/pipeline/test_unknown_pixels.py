@@ -12,10 +12,11 @@ import torch
 from scipy.ndimage import binary_dilation
 
 from mgsr.config import Config, DataConfig, make_config
+from mgsr.config.expert import NormalisationOptions
 from mgsr.data.exposure import brightness_jumps
 from mgsr.data.hull import carve
 from mgsr.data.loading import reduced_view
-from mgsr.data.normalise import OUTLINE_SIDE, normalisation
+from mgsr.data.normalise import normalisation
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, View
 from mgsr.data.silhouettes import silhouettes
@@ -105,7 +106,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
 
 
 def _frame(scene: Scene) -> object:
-    frame = normalisation(scene.train, scene.points, silhouettes(scene.train, OUTLINE_SIDE))
+    frame = normalisation(scene.train, scene.points, silhouettes(scene.train, NormalisationOptions().contour_side))
     return [frame.scale, frame.offset]
 
 

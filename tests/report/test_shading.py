@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from mgsr.data.camera import Camera
+from mgsr.data.up_direction import up_direction
 from mgsr.report.pictures import depth_picture, normal_picture, ramp
-from mgsr.report.shading import MeshPainter, PaintedMesh, side_camera, surface_pictures, up_direction
+from mgsr.report.shading import MeshPainter, PaintedMesh, side_camera, surface_pictures
 from tests.report.samples import ball
 
 UP, FRONT = np.array((0.0, 0.0, 1.0)), np.array((0.0, -3.0, 0.5))

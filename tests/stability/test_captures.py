@@ -10,9 +10,10 @@ import OpenImageIO
 import pytest
 import torch
 
+from mgsr.config.expert import NormalisationOptions
 from mgsr.data.camera import Camera
 from mgsr.data.images import read_image
-from mgsr.data.normalise import OUTLINE_SIDE, normalisation
+from mgsr.data.normalise import normalisation
 from mgsr.data.scene import Scene, Similarity, View
 from mgsr.data.silhouettes import silhouettes
 from mgsr.training.progress import TrainResult
@@ -100,7 +101,7 @@ def test_opposite_cameras_have_a_centre_between_them() -> None:
 
 
 def frame(views: list[View]) -> Similarity:
-    return normalisation(views, None, silhouettes(views, OUTLINE_SIDE))
+    return normalisation(views, None, silhouettes(views, NormalisationOptions().contour_side))
 
 
 def opposite_scene() -> Scene:

@@ -111,7 +111,7 @@ def test_model_selection_reports_itself() -> None:
 
 def test_model_selection_stops_on_request() -> None:
     reports: list[Progress] = []
-    with pytest.raises(Cancelled, match="stopped on request during the trial of off"):
+    with pytest.raises(Cancelled, match="stopped on request while model selection trained off"):
         trained(
             0.0, progress=reports.append, should_stop=lambda: bool(reports) and reports[-1].stage == "selection_off"
         )

@@ -4,6 +4,23 @@ They are settings like all others (`--set expert.stereo.fusion.bins=16`), and re
 documentation lists them apart from what users set, and `GET /options` leaves them out.
 """
 
+from mgsr.config.expert.budget import BudgetOptions
+from mgsr.config.expert.data import (
+    BackdropOptions,
+    BrightnessOptions,
+    CameraSearchOptions,
+    DataOptions,
+    FrameOptions,
+    ImagePairOptions,
+    MaskUseOptions,
+    NormalisationOptions,
+    OddMaskOptions,
+    SharpnessOptions,
+    UndistortionOptions,
+    UpOptions,
+    ViewCountOptions,
+    ZoomCheckOptions,
+)
 from mgsr.config.expert.expert import ExpertConfig
 from mgsr.config.expert.geometry import (
     BilateralOptions,
@@ -89,9 +106,13 @@ from mgsr.config.expert.training import (
 )
 
 __all__ = [
+    "BackdropOptions",
     "BackgroundPointOptions",
     "BackgroundRenderOptions",
     "BilateralOptions",
+    "BrightnessOptions",
+    "BudgetOptions",
+    "CameraSearchOptions",
     "ChartOptions",
     "ColorOptions",
     "ConsistencyOptions",
@@ -99,6 +120,7 @@ __all__ = [
     "ContourSearchOptions",
     "CoverageOptions",
     "CutAtGroundOptions",
+    "DataOptions",
     "DensifyOptions",
     "DepthFillingOptions",
     "DetailOptions",
@@ -113,20 +135,25 @@ __all__ = [
     "FirstSurfaceOptions",
     "FlashFitOptions",
     "FlashOptions",
+    "FrameOptions",
     "FusionOptions",
     "GeometryConfig",
     "GlossOptions",
+    "ImagePairOptions",
     "InspectionConfig",
     "IrradianceOptions",
     "LightOptions",
     "LowFrequencyOptions",
+    "MaskUseOptions",
     "MatchSettings",
     "MatteOptions",
     "MeshOptions",
     "MeshStepOptions",
+    "NormalisationOptions",
     "ObjectSearchOptions",
     "ObservationOptions",
     "OcclusionOptions",
+    "OddMaskOptions",
     "OutlineOptions",
     "PairOptions",
     "PatchMatchOptions",
@@ -144,6 +171,7 @@ __all__ = [
     "ShadingConfig",
     "ShadingOptions",
     "ShadingPass",
+    "SharpnessOptions",
     "StartConfig",
     "StaticLightOptions",
     "StereoConfig",
@@ -152,8 +180,12 @@ __all__ = [
     "TextureOptions",
     "TolerantHullOptions",
     "TrainingOptions",
+    "UndistortionOptions",
     "UnwrapOptions",
+    "UpOptions",
     "VerdictOptions",
     "ViewColorOptions",
+    "ViewCountOptions",
     "ViewFitOptions",
+    "ZoomCheckOptions",
 ]

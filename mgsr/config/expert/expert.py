@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from mgsr.config.expert.budget import BudgetOptions
+from mgsr.config.expert.data import DataOptions
 from mgsr.config.expert.geometry import GeometryConfig
 from mgsr.config.expert.inspection import InspectionConfig
 from mgsr.config.expert.mesh import MeshOptions
@@ -19,6 +21,7 @@ from mgsr.config.options import Options
 class ExpertConfig(Options):
     """The options of all algorithms, by the package of the algorithm."""
 
+    data: DataOptions = field(default_factory=DataOptions)
     inspection: InspectionConfig = field(default_factory=InspectionConfig)
     geometry: GeometryConfig = field(default_factory=GeometryConfig)
     shading: ShadingConfig = field(default_factory=ShadingConfig)
@@ -28,3 +31,4 @@ class ExpertConfig(Options):
     densify: DensifyOptions = field(default_factory=DensifyOptions)
     training: TrainingOptions = field(default_factory=TrainingOptions)
     mesh: MeshOptions = field(default_factory=MeshOptions)
+    budget: BudgetOptions = field(default_factory=BudgetOptions)

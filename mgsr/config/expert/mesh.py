@@ -52,8 +52,8 @@ class SurfaceChoiceOptions(Options):
 
     mirror_share: NotNegative = 0.95  # the first surface is better if its environment residual is at most this share of
     # the trained one's
-    tears: WholeNumber = 40  # boundary loops plus twice the handles that a surface has more if it is torn; torn ones
-    # have hundreds
+    tears: WholeNumber = 40  # boundary loops plus twice the handles, in excess of the first surface's, above which the
+    # trained surface counts as torn; torn ones have hundreds
     min_gain: NotNegative = 0.02  # photo-consistency by which the first surface must exceed the trained one
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mgsr.data.camera import Camera
-from mgsr.report.shading import up_direction
+from mgsr.data.up_direction import up_direction
 
 # Where a geocentric frame has its up direction: 47 degrees north, 8.3 degrees east.
 TURN = Rotation.from_euler("ZY", [8.3, 43.0], degrees=True)

@@ -1,0 +1,199 @@
+"""Options of reading a capture (`mgsr.data`): masks, lenses, sharpness, frames of videos, the search for cameras.
+
+Colour differences are out of 255.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from mgsr.config.options import Angle, Count, NotNegative, Options, Positive, Range, Share, WholeNumber
+
+Level = Annotated[int, Range(0, 255)]
+Pair = Annotated[int, Range(2)]
+Factor = Annotated[float, Range(1)]
+
+
+@dataclass(frozen=True)
+class BackdropOptions(Options):
+    """The search for a backdrop of one colour in photographs without masks."""
+
+    side: Annotated[int, Range(16)] = 200  # pixels; longer photographs are subsampled by rows and columns
+    border: Annotated[float, Range(0, 0.5, open=True)] = 0.03  # width, as a share of a photograph's shorter side
+    plain: Level = 16  # difference from the borders' median colour up to which a pixel counts as plain
+    min_plain: Share = 0.9  # share of the border pixels that must be plain
+    different: Level = 48  # difference from which a pixel shows something else than the backdrop
+    min_different: Share = 0.02  # share of the other pixels that must be different; else nothing stands before it
+    near: Level = 24  # difference below which a point's colour counts as the backdrop's
+
+
+@dataclass(frozen=True)
+class MaskUseOptions(Options):
+    """Whether masks are silhouettes of an object, or mark areas to ignore.
+
+    An agreement is the share of the other views that have a place black too, in excess of chance.
+    """
+
+    free_border: Share = 0.75  # share of black border pixels from which masks are silhouettes
+    min_black: Share = 0.01  # median share of black pixels in silhouettes; with less, the object fills the image
+    places: Pair = 20  # along each side of the cube of places that masks are compared on
+    reach: Positive = 1.25  # half that side over the radius of the ball that the images show whole
+    ignored: Share = 0.04  # agreement in space below which black is ignored; black rectangles at random places have
+    # at most 0.04, and masks of objects that the image cuts off 0.09 to 0.23
+    silhouettes: Share = 0.06  # agreement in space above which masks are silhouettes
+    inverted: Share = 0.1  # agreement in space above which inverted silhouettes are looked for; they have 0.11 to 0.19
+    same_pixels: Share = 0.6  # agreement in the image above which masks hide a strip of it or the camera's own stand
+    strip_border: Share = 0.6  # share of white border pixels from which that is looked for
+    white_border: Share = 0.85  # share of white border pixels from which silhouettes are doubtful
+    max_ball: Factor = 2.4  # radii of the ball that the images show whole; the object's ball may be this large
+
+
+@dataclass(frozen=True)
+class OddMaskOptions(Options):
+    """The search for masks that contradict the others."""
+
+    min_views: Pair = 6  # with fewer, correct masks also disagree much about the object's place
+    places: Pair = 32  # along each side of the cube of places that masks are compared on
+    dissent: Share = 0.1  # of the views, or one view, that may have a place of the object outside its mask
+    left_out: Share = 0.5  # share of the object from which a mask that leaves it out contradicts the others
+    max_odd: Share = 0.25  # share of the views above which it is unknown which masks are right
+
+
+@dataclass(frozen=True)
+class NormalisationOptions(Options):
+    """The search for the ball that holds the object."""
+
+    resolution: Annotated[int, Range(8)] = 64  # voxels along a side of the grid that the visual hull is carved from
+    contour_side: Annotated[int, Range(16)] = 200  # pixels; longer side of the silhouettes
+    min_points: Count = 50  # points of the capture, with fewer of which they do not place the ball
+
+
+@dataclass(frozen=True)
+class UndistortionOptions(Options):
+    """The pinhole image that an undistorted photograph fills."""
+
+    half_angle: Annotated[float, Range(10, 80)] = 60.0  # degrees from the optical axis to which wide lenses are
+    # cropped; 60 hold 90% of an action camera's photograph, 70 hold 99% in an image of almost twice the pixels
+    rectangle: Share = 0.97  # share of the valid pixels from which a rectangle of them is kept instead of a mask
+    max_growth: Factor = 2.0  # of the image along each side; a lens beyond it counts as a wide fisheye
+    sketch: Annotated[int, Range(16)] = 128  # columns and rows of the coarse grid that finds the valid part
+
+
+@dataclass(frozen=True)
+class SharpnessOptions(Options):
+    """The search for blurred photographs.
+
+    Sharpness is counted in powers of two. Sharp photographs lack at most 0.43 against their neighbours; photographs
+    moved by 5 pixels lack 0.5 to 1.2.
+    """
+
+    side: Annotated[int, Range(16)] = 800  # pixels; longer side at which sharpness is measured
+    min_side: Count = 48  # pixels of the shorter side below which images are too small to tell
+    sigma: Positive = 1.5  # pixels; of the Gaussian that blurs a photograph for comparison with itself
+    max_loss: NotNegative = 0.55  # powers of two of sharpness that a photograph may lack
+    nearest: WholeNumber = 6  # neighbours by the camera's place
+    adjacent: WholeNumber = 5  # neighbours by name, before and after each
+
+
+@dataclass(frozen=True)
+class BrightnessOptions(Options):
+    """The comparison of a photograph's mean light with that of its neighbours."""
+
+    side: Annotated[int, Range(16)] = 256  # pixels; longer photographs are subsampled
+    neighbours: Count = 4  # photographs from the nearest directions
+
+
+@dataclass(frozen=True)
+class UpOptions(Options):
+    """The search for the direction that points up, by the axes of the cameras."""
+
+    near_axis: Annotated[float, Range(0, 45)] = 20.0  # degrees within which the direction snaps to an axis
+    min_mean: Share = 0.1  # length of the mean of the cameras' up vectors below which it is unreliable
+    lying: Share = 0.9  # length of the mean of their right vectors above which all cameras lie on their side
+    level: Share = 0.14  # root mean square of the sines by which level cameras lean to a side, of 8 degrees
+    around: Share = 0.1  # mean square of the cameras' right vectors across their main direction, from which the
+    # cameras look from all around
+
+
+@dataclass(frozen=True)
+class ViewCountOptions(Options):
+    """The warning of too few photographs."""
+
+    min_views: Count = 8  # training photographs, with fewer of which the surface is rough at best
+    max_angle: Angle = 35.0  # degrees between two views at which a surface still looks alike in both
+
+
+@dataclass(frozen=True)
+class FrameOptions(Options):
+    """The choice of frames of a video. Motion is counted in diagonals of the image."""
+
+    motion_side: Annotated[int, Range(32)] = 320  # pixels; longer side at which motion is measured
+    sharpness_side: Annotated[int, Range(32)] = 960  # pixels; longer side at which sharpness is measured
+    sigma: Positive = 1.5  # pixels; detail finer than this is what blur takes away
+    features: Count = 200  # that are followed from frame to frame
+    min_left: Share = 0.6  # of the features; with fewer left, they are found anew
+    min_features: Count = 8  # with fewer, there is no motion to measure
+    stretch: Positive = 0.01  # motion after which features are found anew
+    quantile: Share = 0.75  # of the features' motions that counts; those on a still background may be many
+    step: Positive = 0.04  # motion between two chosen frames
+    min_step: Positive = 0.01  # the same, in videos that show little
+    wanted: Count = 40  # frames below which the steps get smaller
+    apart: Share = 0.4  # of a step, the least motion between two chosen frames
+    quality: Annotated[int, Range(1, 100)] = 97  # of JPEG
+    knee: Annotated[float, Range(0, 0.99)] = 0.8  # of diffuse white; brighter light of HDR videos is compressed
+
+
+@dataclass(frozen=True)
+class ImagePairOptions(Options):
+    """The choice of the pairs of photographs whose features are compared."""
+
+    exhaustive: Count = 150  # photographs up to which all pairs are compared
+    exhaustive_frames: Count = 50  # frames of videos up to which all pairs are compared
+    similar: WholeNumber = 30  # photographs that look most like one, which it is compared with
+    similar_frames: WholeNumber = 10  # the same for frames of videos
+    following: Count = 10  # photographs that follow one by name, which it is compared with
+    words: Pair = 1024  # of the vocabulary that tells how alike photographs look
+    sample: Count = 100_000  # features from which the vocabulary is made
+    ordered: Share = 0.8  # share of the photographs whose number follows that of the one before, from which names
+    # count as ordered
+
+
+@dataclass(frozen=True)
+class ZoomCheckOptions(Options):
+    """The warning of photographs that do not fit the lens that they share with others."""
+
+    max_change: NotNegative = 0.03  # relative difference of a photograph's own focal length; fixed lenses stay within
+    # 0.02
+    min_points: Count = 30  # of a photograph, with fewer of which its focal length is unknown
+    min_share: Share = 0.05  # of the photographs; blur or moving things explain fewer
+    min_photographs: Count = 2  # the same, as a number
+
+
+@dataclass(frozen=True)
+class CameraSearchOptions(Options):
+    """The search for cameras by structure from motion with COLMAP."""
+
+    feature_side: Annotated[int, Range(64)] = 2400  # pixels; larger photographs are reduced before features are found
+    peak: Positive = 0.0033  # contrast of a feature, half of COLMAP's default, so that plain objects have features too
+    focal_guess: Positive = 1.2  # focal length in longer sides of the image, where nothing is known of it
+    max_models: Count = 10  # separate models of which the largest is taken
+    pairs: ImagePairOptions = field(default_factory=ImagePairOptions)
+    zoom: ZoomCheckOptions = field(default_factory=ZoomCheckOptions)
+
+
+@dataclass(frozen=True)
+class DataOptions(Options):
+    """The reading of a capture."""
+
+    backdrop: BackdropOptions = field(default_factory=BackdropOptions)
+    mask_use: MaskUseOptions = field(default_factory=MaskUseOptions)
+    odd_masks: OddMaskOptions = field(default_factory=OddMaskOptions)
+    normalisation: NormalisationOptions = field(default_factory=NormalisationOptions)
+    undistortion: UndistortionOptions = field(default_factory=UndistortionOptions)
+    sharpness: SharpnessOptions = field(default_factory=SharpnessOptions)
+    brightness: BrightnessOptions = field(default_factory=BrightnessOptions)
+    up: UpOptions = field(default_factory=UpOptions)
+    view_count: ViewCountOptions = field(default_factory=ViewCountOptions)
+    frames: FrameOptions = field(default_factory=FrameOptions)
+    cameras: CameraSearchOptions = field(default_factory=CameraSearchOptions)

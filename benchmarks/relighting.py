@@ -91,7 +91,7 @@ class Camera:
         return np.concatenate([picture[..., 4:], picture[..., 3:4]], axis=-1)
 
     def photographed(self, image: np.ndarray) -> np.ndarray:
-        """Return the picture [size,size,4], linear, premultiplied, of an RGBA file [H,W,4] uint8 with straight alpha."""
+        """Return the picture [size,size,4], linear, premultiplied, of RGBA [H,W,4] uint8 with straight alpha."""
         alpha = image[..., 3:] / 255
         linear = np.concatenate([srgb_to_linear(image[..., :3] / 255) * alpha, alpha], axis=-1).astype(np.float32)
         return np.asarray(cv2.resize(linear, (self.size, self.size), interpolation=cv2.INTER_AREA))

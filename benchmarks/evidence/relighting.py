@@ -33,3 +33,37 @@ class RelightingRow:
     own_light: float | None
     splats: float | None
     commit: str
+
+
+def relighting_section(rows: Sequence[RelightingRow]) -> str:
+    """Return the table, and by how much the model gains; empty without rows."""
+    if not rows:
+        return ""
+    head = ["scene", "material", "model", "photograph colours", "base colour", "photographs", "roughness", "metallic",
+            "own light", "splats"]  # fmt: skip
+    cells = [
+        [row.scene, row.material, f"{row.model:.1f}", f"{row.photographs:.1f}", f"{row.base_color:.1f}",
+         f"{row.photograph_color:.1f}", f"{row.roughness:.2f} ({_number(row.true_roughness, 2)})",
+         f"{row.metallic:g} ({row.true_metallic:g})", _number(row.own_light, 1), _number(row.splats, 1)]
+        for row in rows
+    ]  # fmt: skip
+    commits = ", ".join(dict.fromkeys(row.commit for row in rows))
+    gain = sum(row.model - row.photographs for row in rows) / len(rows)
+    behind = ", ".join(row.scene for row in rows if row.model < row.photographs) or "no scene"
+    return "\n\n".join(
+        (
+            "## The textured model in new light",
+            "Mitsuba renders `model.glb` and the true surface from test views, under two environments that no "
+            "photograph had. The comparison is the same mesh, matte, with the mean colours of the photographs. PSNR is "
+            "on the object, after one gain per image. The next two columns compare both colours with the true ones. "
+            "Roughness and metallic have the true values in brackets. The last columns compare the model in its own "
+            f"environment, and the splats, with the test photographs. The program is that of {commits}.",
+            markdown(head, cells),
+            f"On average, the model is {gain:.1f} dB closer to the truth than photograph colours are; it is behind on "
+            f"{behind}.",
+        )
+    )
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

@@ -193,7 +193,7 @@ class _Fit:
         return np.asarray(sum(rows @ lobe.blur(lights) for rows, lobe in zip(self._rows, lobes, strict=True)))
 
     def _centred(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return values [Q] less each point's mean by weights [Q], which its matte part explains, if it may have one."""
+        """Return values [Q] less each point's mean by weights [Q], where a matte part may explain it."""
         if not self._matte:
             return values
         owners = self._seen.owners

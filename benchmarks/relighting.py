@@ -101,7 +101,8 @@ class Camera:
         bitmap = mitsuba.Bitmap(np.ascontiguousarray(light, np.float32))
         lamp = {"type": "envmap", "bitmap": bitmap, "to_world": turned}
         world = {"type": "scene", "integrator": integrator, "sensor": self.sensor(), "lamp": lamp, "shape": shape}
-        return np.nan_to_num(np.asarray(mitsuba.render(mitsuba.load_dict(world), spp=self.samples)))
+        rendered = np.asarray(mitsuba.render(mitsuba.load_dict(world), spp=self.samples))
+        return np.asarray(np.nan_to_num(rendered))
 
 
 def as_shape(mesh: UnwrappedMesh | trimesh.Trimesh, material: dict[str, Any], colors: np.ndarray | None = None) -> Any:

@@ -1,28 +1,37 @@
 """Relighting of model.glb, held against path-traced truth under light that no photograph had.
 
-    python -m benchmarks.relighting SCENE OUT [--size 96] [--samples 32]
+    python -m benchmarks.relighting RUNS --scenes FOLDER... [--names NAME...] [-o benchmarks/results/relighting.csv]
 
-SCENE: a rendered scene with mesh_gt.ply and scene_info.json. OUT: the results of a run on it. The model and the true
-surface with its true material are path-traced by Mitsuba (variant scalar_rgb) from the first test views, under two
-environments. The same model with the photographs' mean colours as a matte base colour is the comparison. Prints the
-PSNR on the object after one gain for each image, and roughness and metallic beside the true ones. Materials of the
-truth: a conductor, a clear coat, or a matte colour. The normal map is left out: it is flat where the model has all
-faces.
+RUNS: a folder with the results of a run in RUNS/NAME for each scene; FOLDER/NAME: the rendered scene, with mesh_gt.ply
+and scene_info.json. The model and the true surface with its true material are path-traced by Mitsuba from the first
+test views, under two environments. The same model with the photographs' mean colours as a matte base colour is the
+comparison. Each row has the PSNR on the object after one gain for each image; the same of the base colours against the
+true ones; roughness and metallic beside the true ones; and, where the run wrote an environment.exr, the PSNR of the
+model in that light against the test photographs, beside that of the splats' renders. The normal map is left out: it is
+flat where the model has all faces.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import mitsuba
 import numpy as np
 import trimesh
+from PIL import Image
 
+from benchmarks.evidence.relighting import RelightingRow
+from benchmarks.true_materials import VERTEX_COLOR, true_material, true_surface
+from mgsr.bench.csv_rows import read_csv, write_csv
+from mgsr.bench.machine import program_commit
 from mgsr.config import DataConfig, MeshConfig
-from mgsr.data.images import linear_to_srgb
+from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, View
 from mgsr.geometry.raycast import RayCaster
@@ -31,9 +40,12 @@ from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.mesh.unwrap import UnwrappedMesh
 from mgsr.mesh.views import SurfaceView
 from mgsr.pipeline.result_files import read_mesh
+from mgsr.pipeline.result_paths import ENVIRONMENT, MODEL_GLB, RENDERS
 
 VIEWS = 3
 UPRIGHT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # from model.glb's axes, y up, to the scenes', z up
+ALBEDO = {"type": "aov", "aovs": "albedo:albedo", "image": {"type": "path", "max_depth": 2, "hide_emitters": True}}
+SHADED = {"type": "path", "max_depth": 5, "hide_emitters": True}
 
 
 def environment(seed: int, rows: int = 64) -> np.ndarray:
@@ -50,42 +62,54 @@ def environment(seed: int, rows: int = 64) -> np.ndarray:
     return np.asarray(light, np.float32)
 
 
-def true_material(info: dict[str, Any]) -> dict[str, Any]:
-    """Return the scene's material for Mitsuba, from the arguments that rendered it."""
-    color = {"type": "rgb", "value": [float(each) for each in info["color"].split(",")]}
-    if info["material"] == "conductor":
-        return {"type": "roughconductor", "material": info["metal"], "alpha": info["roughness"], "distribution": "ggx"}
-    if info["material"] == "clearcoat":
-        coat = {"clearcoat": 1.0, "clearcoat_gloss": 0.97, "specular": 0.5, "roughness": info["roughness"] or 0.5}
-        return {"type": "principled", "base_color": color} | coat
-    if info["material"] == "diffuse" and info["texture"] is None:
-        return {"type": "diffuse", "reflectance": color}
-    raise SystemExit(f"{info['material']} with texture {info['texture']}: expected a conductor, a coat or one colour")
+@dataclass(frozen=True)
+class Camera:
+    """From where and how Mitsuba looks at a shape. samples: for each pixel."""
+
+    view: View
+    scene: Scene
+    size: int
+    samples: int
+
+    def sensor(self) -> dict[str, Any]:
+        """Return Mitsuba's sensor in the user's frame; its picture is square."""
+        camera = self.scene.user_from_scene.camera_to_user(self.view.camera)
+        pose = np.linalg.inv(camera.cam_from_world)
+        pose[:3, :2] *= -1  # Mitsuba's cameras have x left and y up
+        angle = float(np.degrees(2 * np.arctan(camera.width / 2 / camera.K[0, 0])))
+        film = {"type": "hdrfilm", "width": self.size, "height": self.size, "pixel_format": "rgba"}
+        film |= {"rfilter": {"type": "box"}}
+        return {"type": "perspective", "fov": angle, "to_world": mitsuba.ScalarTransform4f(pose), "film": film}
+
+    def trace(self, shape: Any, light: np.ndarray) -> np.ndarray:
+        """Return the picture [size,size,4] of a shape in a light [H,2H,3], linear, premultiplied."""
+        return self._traced(shape, light, SHADED)
+
+    def albedo(self, shape: Any) -> np.ndarray:
+        """Return the reflectance of a matte shape [size,size,4], linear, premultiplied."""
+        picture = self._traced(shape, np.ones((2, 4, 3)), ALBEDO)
+        return np.concatenate([picture[..., 4:], picture[..., 3:4]], axis=-1)
+
+    def photographed(self, image: np.ndarray) -> np.ndarray:
+        """Return the picture [size,size,4], linear, premultiplied, of RGBA [H,W,4] uint8 with straight alpha."""
+        alpha = image[..., 3:] / 255
+        linear = np.concatenate([srgb_to_linear(image[..., :3] / 255) * alpha, alpha], axis=-1).astype(np.float32)
+        return np.asarray(cv2.resize(linear, (self.size, self.size), interpolation=cv2.INTER_AREA))
+
+    def _traced(self, shape: Any, light: np.ndarray, integrator: dict[str, Any]) -> np.ndarray:
+        turned = mitsuba.ScalarTransform4f().rotate([1, 0, 0], 90)
+        bitmap = mitsuba.Bitmap(np.ascontiguousarray(light, np.float32))
+        lamp = {"type": "envmap", "bitmap": bitmap, "to_world": turned}
+        world = {"type": "scene", "integrator": integrator, "sensor": self.sensor(), "lamp": lamp, "shape": shape}
+        rendered = np.asarray(mitsuba.render(mitsuba.load_dict(world), spp=self.samples))
+        return np.asarray(np.nan_to_num(rendered))
 
 
-def traced(shape: Any, light: np.ndarray, view: View, scene: Scene, size: int, samples: int) -> np.ndarray:
-    """Return the picture [size,size,4] of a shape in the user's frame from a view's camera, linear, premultiplied."""
-    camera = scene.user_from_scene.camera_to_user(view.camera)
-    pose = np.linalg.inv(camera.cam_from_world)
-    pose[:3, :2] *= -1  # Mitsuba's cameras have x left and y up
-    transform = mitsuba.ScalarTransform4f
-    angle = float(np.degrees(2 * np.arctan(camera.width / 2 / camera.K[0, 0])))
-    film = {"type": "hdrfilm", "width": size, "height": size, "pixel_format": "rgba", "rfilter": {"type": "box"}}
-    sensor = {"type": "perspective", "fov": angle, "to_world": transform(pose), "film": film}
-    lamp = {
-        "type": "envmap",
-        "bitmap": mitsuba.Bitmap(np.ascontiguousarray(light, np.float32)),
-        "to_world": transform().rotate([1, 0, 0], 90),
-    }
-    integrator = {"type": "path", "max_depth": 5, "hide_emitters": True}
-    world = mitsuba.load_dict(
-        {"type": "scene", "integrator": integrator, "sensor": sensor, "lamp": lamp, "shape": shape}
-    )
-    return np.asarray(np.nan_to_num(np.asarray(mitsuba.render(world, spp=samples))))
+def as_shape(mesh: UnwrappedMesh | trimesh.Trimesh, material: dict[str, Any], colors: np.ndarray | None = None) -> Any:
+    """Return Mitsuba's mesh with a two-sided material, with texture coordinates where the mesh has some.
 
-
-def as_shape(mesh: UnwrappedMesh | ReconstructedMesh | trimesh.Trimesh, material: dict[str, Any]) -> Any:
-    """Return Mitsuba's mesh with a two-sided material, with texture coordinates where the mesh has some."""
+    colors [V,3]: of the vertices, linear, which the material names VERTEX_COLOR.
+    """
     properties = mitsuba.Properties()
     properties["bsdf"] = mitsuba.load_dict({"type": "twosided", "material": material})
     uvs = getattr(mesh, "uvs", None)
@@ -94,12 +118,14 @@ def as_shape(mesh: UnwrappedMesh | ReconstructedMesh | trimesh.Trimesh, material
     shape = mitsuba.Mesh(
         "model", *sizes, has_vertex_normals=True, has_vertex_texcoords=uvs is not None, props=properties
     )
+    if colors is not None:
+        shape.add_attribute(VERTEX_COLOR, 3, colors.astype(np.float32).ravel())
     values = mitsuba.traverse(shape)
     values["vertex_positions"] = np.asarray(mesh.vertices, np.float32).ravel()
     values["vertex_normals"] = normals.ravel()
     values["faces"] = np.asarray(mesh.faces, np.uint32).ravel()
     if uvs is not None:
-        values["vertex_texcoords"] = np.asarray(uvs * [1, -1] + [0, 1], np.float32).ravel()
+        values["vertex_texcoords"] = np.asarray(uvs, np.float32).ravel()
     values.update()
     return shape
 
@@ -146,37 +172,101 @@ def score(image: np.ndarray, truth: np.ndarray) -> float:
     return float(-10 * np.log10((error**2).mean()))
 
 
+def matte(color: dict[str, Any]) -> dict[str, Any]:
+    """Return Mitsuba's matte material of a colour."""
+    return {"type": "diffuse", "reflectance": color}
+
+
+def relit(path: Path, out: Path, size: int, samples: int) -> RelightingRow:
+    """Return the scores of a run in `out` on the scene in `path`.
+
+    Raises ValueError where the scene's true material is not known.
+    """
+    scene, args = load_scene(path, DataConfig()), json.loads((path / "scene_info.json").read_text())["args"]
+    truth = true_material(args)
+    loaded = trimesh.load_mesh(path / "mesh_gt.ply", process=False)
+    assert isinstance(loaded, trimesh.Trimesh)
+    surface, colors = true_surface(loaded, args)
+    mesh, picture, roughness, metallic = read_model(out / MODEL_GLB)
+    own = {"type": "principled", "base_color": bitmap(picture), "roughness": roughness, "metallic": metallic}
+    seen = bitmap(photograph_colors(mesh, read_mesh(out), scene))
+    cameras = [Camera(view, scene, size, samples) for view in scene.test[:VIEWS]]
+    shaded = [
+        as_shape(surface, truth.bsdf, colors),
+        as_shape(mesh, own | {"specular": 0.5}),
+        as_shape(mesh, matte(seen)),
+    ]
+    plain = [as_shape(surface, matte(truth.base_color), colors)]
+    plain += [as_shape(mesh, matte(each)) for each in (bitmap(picture), seen)]
+    lit = [[camera.trace(each, environment(seed)) for each in shaded] for seed in range(2) for camera in cameras]
+    bare = [[camera.albedo(each) for each in plain] for camera in cameras]
+    model, photographs = compare(lit)
+    base_color, photograph_color = compare(bare)
+    own_light, splats = in_own_light(shaded[1], out, cameras)
+    return RelightingRow(
+        scene=path.name,
+        material=truth.name,
+        model=model,
+        photographs=photographs,
+        base_color=base_color,
+        photograph_color=photograph_color,
+        roughness=roughness,
+        true_roughness=truth.roughness,
+        metallic=metallic,
+        true_metallic=truth.metallic,
+        own_light=own_light,
+        splats=splats,
+        commit=program_commit(),
+    )
+
+
+def compare(pictures: Sequence[Sequence[np.ndarray]]) -> list[float]:
+    """Return the mean score of the second and the third picture of each entry against its first."""
+    scores = [[score(each, truth) for each in others] for truth, *others in pictures]
+    return [float(each) for each in np.mean(scores, axis=0)]
+
+
+def in_own_light(shape: Any, out: Path, cameras: Sequence[Camera]) -> tuple[float | None, float | None]:
+    """Return the scores of the model in its own environment, and of the splats, against the test photographs.
+
+    None where the run wrote no environment.
+    """
+    if not (out / ENVIRONMENT).is_file():
+        return None, None
+    light = np.array(mitsuba.Bitmap(str(out / ENVIRONMENT)).convert(mitsuba.Bitmap.PixelFormat.RGB), np.float32)
+    scores = []
+    for camera in cameras:
+        view = camera.view
+        assert view.alpha is not None
+        truth = camera.photographed(np.dstack([view.image, view.alpha]))
+        splats = np.asarray(Image.open(out / RENDERS / f"{view.name}.png").convert("RGBA"))
+        scores.append([score(each, truth) for each in (camera.trace(shape, light), camera.photographed(splats))])
+    ours, theirs = (float(each) for each in np.mean(scores, axis=0))
+    return ours, theirs
+
+
 def main() -> None:
-    """Print the scores of one run."""
+    """Measure the runs, and write their rows in the place of older ones of the same scenes."""
+    given = arguments()
+    mitsuba.set_variant("scalar_rgb")
+    places = {path.name: path for folder in given.scenes for path in folder.iterdir()}
+    rows = {row.scene: row for row in read_csv(given.out, RelightingRow)} if given.out else {}
+    for name in given.names or sorted(path.name for path in given.runs.iterdir() if (path / MODEL_GLB).is_file()):
+        rows[name] = relit(places[name], given.runs / name, given.size, given.samples)
+        print(rows[name], flush=True)
+        if given.out:
+            write_csv(given.out, RelightingRow, list(rows.values()), digits=4)
+
+
+def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("out", type=Path)
+    parser.add_argument("runs", type=Path)
+    parser.add_argument("--scenes", type=Path, nargs="+", required=True)
+    parser.add_argument("--names", nargs="+")
     parser.add_argument("--size", type=int, default=96)
     parser.add_argument("--samples", type=int, default=32)
-    given = parser.parse_args()
-    mitsuba.set_variant("scalar_rgb")
-    scene, info = (
-        load_scene(given.scene, DataConfig()),
-        json.loads((given.scene / "scene_info.json").read_text())["args"],
-    )
-    mesh, picture, roughness, metallic = read_model(given.out / "model.glb")
-    gloss = {"roughness": roughness, "metallic": metallic, "specular": 0.5}
-    photographs = photograph_colors(mesh, read_mesh(given.out), scene)
-    truth = trimesh.load_mesh(given.scene / "mesh_gt.ply", process=False)
-    assert isinstance(truth, trimesh.Trimesh)
-    shapes = [
-        as_shape(truth, true_material(info)),
-        as_shape(mesh, {"type": "principled", "base_color": bitmap(picture)} | gloss),
-        as_shape(mesh, {"type": "diffuse", "reflectance": bitmap(photographs)}),
-    ]
-    scores = []
-    for seed in range(2):
-        for view in scene.test[:VIEWS]:
-            images = [traced(shape, environment(seed), view, scene, given.size, given.samples) for shape in shapes]
-            scores.append([score(image, images[0]) for image in images[1:]])
-    ours, matte = np.mean(scores, axis=0)
-    print(f"{given.scene.name}: model {ours:.2f} dB, photograph colours {matte:.2f} dB")
-    print(f"roughness {roughness:.2f}, metallic {metallic:.0f}; true: {info['material']}, width {info['roughness']}")
+    parser.add_argument("-o", dest="out", type=Path)
+    return parser.parse_args()
 
 
 if __name__ == "__main__":

@@ -265,6 +265,7 @@ REMAINING = {
     "shading/flash._PAIRS": MATHEMATICS,
     "shading/flash._PLACES": MATHEMATICS,
     "shading/gloss.ROUGHNESSES": SEARCHED,
+    "shading/gloss.TILTS": SEARCHED,
     "shading/lighting.BAND": BATCH,
     "shading/lighting.GAMMA": MATHEMATICS,
     "start/masked_surface.FAR_SHADED": PROGRESS,

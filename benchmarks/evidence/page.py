@@ -11,6 +11,7 @@ from benchmarks.evidence.ablations import ablation_section, choices_section
 from benchmarks.evidence.exposures import exposure_section
 from benchmarks.evidence.kernel_plot import write_kernel_plot
 from benchmarks.evidence.kernels import kernel_section
+from benchmarks.evidence.relighting import relighting_section
 from benchmarks.evidence.result_files import IMAGES, Evidence, image, read_evidence
 from benchmarks.evidence.scene_needs import need_section
 from benchmarks.evidence.scene_sets import sets_section
@@ -50,6 +51,7 @@ def evidence_page(evidence: Evidence) -> str:
         exposure_section(evidence.exposures),
         start_section(evidence.start),
         finish_section(evidence.finish),
+        relighting_section(evidence.relighting),
         ablation_section(evidence.all_rows),
         choices_section(evidence.all_rows),
         kernel_section(evidence.kernels, evidence.choices),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from benchmarks.evidence.exposures import EXPOSURES, ExposureRow
 from benchmarks.evidence.kernels import CHOICES, KERNELS, KernelRow, read_kernels
+from benchmarks.evidence.relighting import RELIGHTING, RelightingRow
 from benchmarks.evidence.scene_sets import SETS, SetRow
 from benchmarks.evidence.surface_parts import FINISH_PARTS, START_PARTS, PartRow
 from mgsr.bench.csv_rows import read_csv
@@ -46,6 +47,7 @@ class Evidence:
     sets: list[SetRow] = field(default_factory=list)
     start: list[PartRow] = field(default_factory=list)
     finish: list[PartRow] = field(default_factory=list)
+    relighting: list[RelightingRow] = field(default_factory=list)
 
     @property
     def all_rows(self) -> list[Row]:
@@ -66,7 +68,8 @@ def read_evidence(results: Path) -> Evidence:
     curves, behind = read_curves(results / CURVES), [row for row in rows if row not in newest]
     sets = read_csv(results / SETS, SetRow)
     start, finish = (read_csv(results / name, PartRow) for name in (START_PARTS, FINISH_PARTS))
-    return Evidence(newest, curves, scenes, kernels, exposures, behind, choices, sets, start, finish)
+    relighting = read_csv(results / RELIGHTING, RelightingRow)
+    return Evidence(newest, curves, scenes, kernels, exposures, behind, choices, sets, start, finish, relighting)
 
 
 def image(name: str) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mgsr.config import MeshConfig, OutputConfig
-from mgsr.config.expert import MeshOptions
+from mgsr.config.expert import MeshOptions, TextureOptions
 from mgsr.data.images import linear_to_srgb, srgb_to_linear, to_uint8
 from mgsr.geometry.decimate import coarser, decimate
 from mgsr.geometry.displace import diffuse
@@ -37,7 +37,7 @@ def texture_mesh(
     full, views: in one frame. pixel: the size of the photographs' pixels on the surface, in its unit, which a texel
     gets unless `output.texture` gives the number of texels. A metal's base colour is its tint; others blend the views'
     colours, as in `seen_colors`. shaded: whether these colours contain the shading of static light, which is then
-    divided out. options: all of the mesh's.
+    divided out, and the light's brightness with it where the material tells it. options: all of the mesh's.
     """
     own, static = options.texture, options.texture.static_light
     unwrapped = unwrap(_reduced(full, output.faces, own.same_side), pixel, output.texture, own.unwrap)
@@ -49,9 +49,10 @@ def texture_mesh(
     if material.tint is not None:
         colors = np.broadcast_to(linear_to_srgb(material.tint), colors.shape)
     elif shaded:
-        around = srgb_to_linear(full.prolongation(coarse.vertices) @ full.colors)
+        scale = _albedo_scale(srgb_to_linear(full.colors), material, own)
+        around = scale * srgb_to_linear(full.prolongation(coarse.vertices) @ full.colors)
         light = at @ static_irradiance(coarse, around, seen, options=static)
-        colors = linear_to_srgb(np.clip(srgb_to_linear(colors) / light, 0, 1))
+        colors = linear_to_srgb(np.clip(scale * srgb_to_linear(colors) / light, 0, 1))
     visible = diffuse(seen.visibility[:, None], coarse.laplacian, static.reach)
     textured: TexturedMesh = TexturedMesh(
         unwrapped.vertices,
@@ -65,6 +66,20 @@ def texture_mesh(
         material=material,
     ).with_normals(unwrapped.normals)
     return textured
+
+
+def _albedo_scale(colors: np.ndarray, material: Material, options: TextureOptions) -> np.ndarray:
+    """Return the factors [3] that make albedo of colours [V,3], linear, in the unit of the photographs.
+
+    They are the inverse of the mean light, which a dielectric's gloss tells, or 1 where it is not known. The light of
+    clipped lamps is not known either, so the factors are reduced until nearly all albedo is at most `brightest`.
+    """
+    light = material.mean_light()
+    if light is None:
+        return np.ones(3)
+    scale = 1 / np.maximum(light, 1e-6)
+    top = float(np.quantile((scale * colors).max(axis=1), 1 - options.brighter))
+    return np.asarray(scale * min(1.0, options.brightest / max(top, 1e-6)))
 
 
 def _reduced(full: ReconstructedMesh, faces: int | None, same_side: float) -> Mesh:

@@ -1,19 +1,20 @@
 """The gloss of a surface: how rough it is, whether it is a metal, and the environment that it mirrors.
 
 The photographs of a glossy surface are explained by one environment map, blurred by the surface's roughness (GGX;
-Walter et al., 2007), reflected by Fresnel's law, and a matte part that looks the same from all sides. A metal has no
-matte part. A map can hold blurred light as well as sharp light, but no light is negative: so the photographs tell the
-roughness where the environment has lamps or edges.
+Walter et al., 2007), reflected by Fresnel's law, and a matte part that looks the same from all sides. Metals and black
+dielectrics have no matte part; Fresnel's law tells them apart. A map can hold blurred light as well as sharp light, but
+no light is negative: so the photographs tell the roughness where the environment has lamps or edges.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 
 from mgsr.config.expert import GlossOptions
 from mgsr.data.images import srgb_to_linear
@@ -24,7 +25,8 @@ from mgsr.shading.environment_fit import sample_map, steps_squared
 from mgsr.shading.material import MATTE, Material
 from mgsr.shading.observations import observe_photographs, read_image
 
-ROUGHNESSES = (0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.8)
+ROUGHNESSES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.8)
+TILTS = (0.3, 0.6, 1.0)  # cosines of the tilts at which the lobes are computed; between them they are blended
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,14 @@ def mirrorings(
     return Mirrorings(*(each[free] for each in (owners, directions, cosines, colors, weights, ~held)))
 
 
+class Substance(Enum):
+    """What a glossy surface may be of."""
+
+    DIELECTRIC = "dielectric"
+    BLACK_DIELECTRIC = "black dielectric"
+    METAL = "metal"
+
+
 def fit_gloss(seen: Mirrorings, options: GlossOptions = GlossOptions()) -> Material:
     """Fit the material of a glossy surface to its observations; MATTE where gloss does not explain them better."""
     gray = seen.colors.mean(axis=1)
@@ -85,14 +95,14 @@ def fit_gloss(seen: Mirrorings, options: GlossOptions = GlossOptions()) -> Mater
         return MATTE
     height, rows = options.height, sample_map(seen.directions, options.height).astype(np.float32)
     dark = np.zeros(2 * height**2)
-    coat, metal = (_Fit(seen, rows, metallic, options) for metallic in (False, True))
-    lights = [fit.solve(gray, ROUGHNESSES[0], dark, options.first_steps) for fit in (coat, metal)]
-    errors = [fit.deviation(gray, ROUGHNESSES[0], light) for fit, light in zip((coat, metal), lights, strict=True)]
-    if min(errors) > options.matte_deviation * coat.deviation(gray, ROUGHNESSES[0], dark):
+    fits = [_Fit(seen, rows, substance, options) for substance in Substance]
+    lights = [fit.solve(gray, ROUGHNESSES[0], dark, options.first_steps) for fit in fits]
+    errors = [fit.deviation(gray, ROUGHNESSES[0], light) for fit, light in zip(fits, lights, strict=True)]
+    if min(errors) > options.matte_deviation * fits[0].deviation(gray, ROUGHNESSES[0], dark):
         return MATTE
-    metallic = errors[1] < options.metal_deviation * errors[0]
-    fit = metal if metallic else coat
-    found = _try_roughnesses(fit, gray, lights[metallic], options)
+    chosen = int(np.argmin(errors))
+    fit, metallic = fits[chosen], fits[chosen].metallic
+    found = _try_roughnesses(fit, gray, lights[chosen], options)
     best = min(deviation for _, deviation, _ in found)
     likely, possible = (
         [each for each in found if each[1] <= limit * best] for limit in (options.likely, options.possible)
@@ -125,14 +135,17 @@ def _try_roughnesses(
 
 
 class _Fit:
-    """The equations of one model: a dielectric over a matte part, or a metal without one."""
+    """The equations of one substance."""
 
-    def __init__(self, seen: Mirrorings, rows: sparse.csr_matrix, metallic: bool, options: GlossOptions) -> None:
+    def __init__(self, seen: Mirrorings, rows: sparse.csr_matrix, substance: Substance, options: GlossOptions) -> None:
         """Prepare the fit; rows [Q,2*height^2] sample a map where the points mirror to."""
-        self._seen, self._metallic, self._options = seen, metallic, options
-        self._rows, self._turned = rows, rows.T.tocsr()
+        self.metallic = substance is Substance.METAL
+        self._matte = substance is Substance.DIELECTRIC
+        self._seen, self._options = seen, options
+        self._rows = [sparse.diags_array(part.astype(np.float32)) @ rows for part in _hats(seen.cosines)]
+        self._turned = [part.T.tocsr() for part in self._rows]
         self._smooth = steps_squared(options.height)
-        self._lobes: dict[float, np.ndarray] = {}
+        self._lobes: dict[float, list[GgxLobe]] = {}
 
     def solve(self, values: np.ndarray, roughness: float, start: np.ndarray, steps: int) -> np.ndarray:
         """Return the light [2*height^2], nowhere negative, that best explains values [Q] of the training photographs.
@@ -140,20 +153,20 @@ class _Fit:
         It is multiplied by the reflectance at normal incidence. start [2*height^2]: the first guess. steps: of the
         optimiser, at most.
         """
-        lobe, share = self._lobe(roughness), self._share(roughness)
+        lobes, share = self._lobes_of(roughness), self._share(roughness)
         weights = self._seen.weights * self._seen.training
         hold = self._options.smoothness * weights.sum() / len(start)
         scale = float((weights * values * values).sum()) / len(start)
 
         def cost(light: np.ndarray) -> tuple[float, np.ndarray]:
-            residual = self._centred(values - share * (self._rows @ (lobe @ light.astype(np.float32))), weights)
-            pull = self._smooth @ light
-            slope = -(lobe.T @ (self._turned @ (share * weights * residual).astype(np.float32)))
+            residual = self._centred(values - share * self.spread(light, roughness), weights)
+            pull, weighted = self._smooth @ light, share * weights * residual
+            slope = -sum(lobe.gather(turned @ weighted) for lobe, turned in zip(lobes, self._turned, strict=True))
             value = 0.5 * float((weights * residual * residual).sum() + hold * (light @ pull))
             return value / scale, (slope + hold * pull) / scale
 
-        bounds = [(0, None)] * len(start)
         options = {"maxiter": steps, "ftol": self._options.tolerance}
+        bounds = Bounds(0, np.inf)
         fitted: np.ndarray = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
         return fitted
 
@@ -164,9 +177,9 @@ class _Fit:
         it, as for what the model does not know, such as second reflections.
         """
         seen = self._seen
-        residual = values - self._share(roughness) * (self._rows @ (self._lobe(roughness) @ light.astype(np.float32)))
+        residual = values - self._share(roughness) * self.spread(light, roughness)
         judged = seen.weights * ~seen.training
-        if not self._metallic:
+        if self._matte:
             training = seen.weights * seen.training
             sums, total = (np.bincount(seen.owners, each) for each in (training * residual, training))
             residual = residual - (sums / np.maximum(total, 1e-9))[seen.owners]
@@ -175,12 +188,13 @@ class _Fit:
         return float(np.sqrt((judged * clipped).sum() / max(judged.sum(), 1e-9)))
 
     def spread(self, lights: np.ndarray, roughness: float) -> np.ndarray:
-        """Return the light [Q,3] of a map [2*height^2,3] that the points mirror."""
-        return np.asarray(self._rows @ (self._lobe(roughness) @ lights.astype(np.float32)))
+        """Return the light [Q,...] of a map [2*height^2,...] that the points mirror."""
+        lobes = self._lobes_of(roughness)
+        return np.asarray(sum(rows @ lobe.blur(lights) for rows, lobe in zip(self._rows, lobes, strict=True)))
 
     def _centred(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return values [Q] less each point's mean by weights [Q], which its matte part explains; a metal has none."""
-        if self._metallic:
+        """Return values [Q] less each point's mean by weights [Q], where a matte part may explain it."""
+        if not self._matte:
             return values
         owners = self._seen.owners
         mean = np.bincount(owners, weights * values) / np.maximum(np.bincount(owners, weights), 1e-9)
@@ -188,42 +202,72 @@ class _Fit:
 
     def _share(self, roughness: float) -> np.ndarray:
         """Return the mirrored share [Q] of each observation, relative to the reflectance at normal incidence."""
-        if self._metallic:
+        if self.metallic:
             return mirrored_share(self._seen.cosines, roughness, 1.0)
         return mirrored_share(self._seen.cosines, roughness, self._options.dielectric) / self._options.dielectric
 
-    def _lobe(self, roughness: float) -> np.ndarray:
-        """Return `ggx_lobes`, of which the last is kept."""
+    def _lobes_of(self, roughness: float) -> list[GgxLobe]:
+        """Return the lobes at the cosines TILTS for a roughness, of which the last are kept.
+
+        Across the plane of the tilt, a lobe narrows with the cosine. It is replaced by a round one of the same area.
+        """
         if roughness not in self._lobes:
-            self._lobes = {roughness: ggx_lobes(roughness, self._options.height)}
+            widths = [roughness * cosine**0.25 for cosine in TILTS]
+            self._lobes = {roughness: [GgxLobe(each, self._options.height) for each in widths]}
         return self._lobes[roughness]
+
+
+def _hats(cosines: np.ndarray) -> list[np.ndarray]:
+    """Return the weights [Q] of TILTS that interpolate between them at cosines [Q]."""
+    return [np.interp(cosines, TILTS, row) for row in np.eye(len(TILTS))]
 
 
 def mirrored_share(cosines: np.ndarray, roughness: float, reflectance: float) -> np.ndarray:
     """Return the share [...] of a uniform light that a rough surface mirrors at cosines [...] of the tilt.
 
-    reflectance: at normal incidence. Source: Karis, 2014 (Physically based shading on mobile), a fit to the integral of
-    GGX with Schlick's Fresnel term.
+    reflectance: at normal incidence. It is the integral of GGX with Schlick's and Smith's terms over microfacets drawn
+    by their area (Karis, 2013).
     """
-    x, y, z, w = (
-        a * roughness + b for a, b in zip((-1, -0.0275, -0.572, 0.022), (1, 0.0425, 1.04, -0.04), strict=True)
-    )
-    grazing = np.minimum(x * x, 2 ** (-9.28 * np.clip(cosines, 0, 1))) * x + y
-    return np.asarray(reflectance * (-1.04 * grazing + z) + 1.04 * grazing + w)
-
-
-def ggx_lobes(roughness: float, height: int = GlossOptions().height) -> np.ndarray:
-    """Return the matrix [N,N] float32, N = 2*height^2, that blurs a map by the lobe of a rough mirror seen head-on.
-
-    Rows sum to 1. The lobe is GGX with width roughness^2, times the cosine (Karis, 2013).
-    """
-    polar = (np.arange(height) + 0.5) / height * np.pi
-    azimuth = (np.arange(2 * height) + 0.5) / height * np.pi
-    flat, up = np.sin(polar)[:, None], np.cos(polar)[:, None] + 0 * azimuth
-    cells = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), up], axis=-1).reshape(-1, 3).astype(np.float32)
-    cosines = np.clip(cells @ cells.T, -1, 1)
+    tilts, steps = np.linspace(0.02, 1, 50)[:, None], (np.arange(32) + 0.5) / 32
+    chance, turn = (each.ravel() for each in np.meshgrid(steps, np.pi * steps))
     square = roughness**4
-    half = (1 + cosines) / 2  # the squared cosine between mirror direction and half vector
-    lobe = np.maximum(cosines, 0) * square / (half * (square - 1) + 1) ** 2 * np.repeat(flat[:, 0], 2 * height)
-    blurred: np.ndarray = (lobe / lobe.sum(axis=1, keepdims=True)).astype(np.float32)
-    return blurred
+    up = np.sqrt((1 - chance) / (1 + (square - 1) * chance))
+    met = np.sqrt(1 - tilts**2) * np.sqrt(1 - up**2) * np.cos(turn) + tilts * up
+    leaving = 2 * met * up - tilts
+    seen, lit = (2 / (1 + np.sqrt(1 + square * (1 / np.maximum(each, 1e-6) ** 2 - 1))) for each in (tilts, leaving))
+    fresnel = reflectance + (1 - reflectance) * (1 - np.clip(met, 0, 1)) ** 5
+    share = np.where((met > 0) & (leaving > 0), fresnel * seen * lit * met / (tilts * up), 0).mean(axis=1)
+    return np.asarray(np.interp(cosines, tilts[:, 0], share))
+
+
+class GgxLobe:
+    """The lobe of a rough mirror seen head-on, which blurs maps of height x 2 height cells.
+
+    It is GGX with width roughness^2, times the cosine (Karis, 2013). Its cells depend on the difference of azimuths
+    alone, so that a blur is a product for each frequency of the azimuth.
+    """
+
+    def __init__(self, roughness: float, height: int) -> None:
+        polar, azimuth = (np.arange(height) + 0.5) / height * np.pi, np.arange(2 * height) / height * np.pi
+        up, flat = np.cos(polar), np.sin(polar)
+        cosines = np.outer(flat, flat)[..., None] * np.cos(azimuth) + np.outer(up, up)[..., None]
+        square = roughness**4
+        half = (1 + cosines) / 2  # the squared cosine between mirror direction and half vector
+        lobe = np.maximum(cosines, 0) * square / (half * (square - 1) + 1) ** 2 * flat[:, None]
+        lobe /= lobe.sum(axis=(1, 2), keepdims=True)
+        # The lobe is even in the azimuth, so its spectrum is real.
+        self._height, self._spectrum = height, np.fft.rfft(lobe, axis=2).real.transpose(2, 0, 1).copy()
+
+    def blur(self, light: np.ndarray) -> np.ndarray:
+        """Return the light [2*height^2,...] that the mirror sends out where it mirrors each cell of a map alike."""
+        return self._filtered(light, self._spectrum)
+
+    def gather(self, values: np.ndarray) -> np.ndarray:
+        """Return what the transpose of `blur` makes of values [2*height^2,...]."""
+        return self._filtered(values, self._spectrum.transpose(0, 2, 1))
+
+    def _filtered(self, cells: np.ndarray, spectrum: np.ndarray) -> np.ndarray:
+        waves = np.fft.rfft(cells.reshape(self._height, 2 * self._height, -1), axis=1).transpose(1, 0, 2)
+        products = spectrum @ waves.real + 1j * (spectrum @ waves.imag)
+        filtered = np.fft.irfft(products.transpose(1, 0, 2), 2 * self._height, axis=1)
+        return np.asarray(filtered.reshape(cells.shape))

@@ -24,6 +24,14 @@ class Material:
     tint: np.ndarray | None = None
     light: np.ndarray | None = None
 
+    def mean_light(self) -> np.ndarray | None:
+        """Return the mean [3] of the light over all directions; None where it is not known."""
+        if self.light is None:
+            return None
+        areas = np.sin((np.arange(len(self.light)) + 0.5) / len(self.light) * np.pi)
+        mean: np.ndarray = np.average(self.light.mean(axis=1), axis=0, weights=areas)
+        return mean
+
     def to_json(self) -> dict[str, object]:
         """Return the constants as plain types, for report.json."""
         tint = None if self.tint is None else [float(each) for each in self.tint]

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
 from mgsr.config import MeshConfig, OutputConfig
+from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.mesh.texture import texture_mesh
 from mgsr.mesh.views import SurfaceView
+from mgsr.shading.material import Material
 from tests.mesh.shapes import cameras_around, joined, position_color, views_of
 
 SIDE = 256
@@ -68,6 +71,24 @@ def test_a_ball_has_its_own_colours_everywhere() -> None:
     # Bytes of the picture, the pixels of the views and a texel's size; a seam would show as a large single error.
     assert np.abs(colors - position_color(places)).mean() < 0.006
     assert np.abs(colors - position_color(places)).max() < 0.05
+
+
+@pytest.mark.parametrize("brightness", [0.4, 0.01])
+def test_the_light_that_gloss_tells_is_divided_out(brightness: float) -> None:
+    """Check that the base colour is the albedo, and at most the brightest one where the light is not believed."""
+    shape, light = ball(), brightness * np.array([1.0, 0.8, 0.5])
+    albedo = np.array([0.6, 0.5, 0.3])
+    shown = linear_to_srgb(0.4 * np.array([1.0, 0.8, 0.5]) * albedo).astype(np.float32)
+    views = [
+        replace(view, color=np.broadcast_to(shown, view.color.shape)) for view in views_of(shape, cameras_around(8))
+    ]
+    full = surface(shape)
+    full = replace(full, colors=np.broadcast_to(shown, full.colors.shape))
+    glossy = Material(0.3, (0.2, 0.4), light=np.broadcast_to(light, (8, 16, 3)))
+    textured = texture_mesh(full, views, 0.02, OutputConfig(texture=SIDE), MeshConfig(), material=glossy)
+    _, colors = read(textured, textured.base_color)
+    expected = albedo if brightness == 0.4 else albedo * 0.9 / 0.6
+    np.testing.assert_allclose(srgb_to_linear(colors).mean(axis=0), expected, rtol=0.03)
 
 
 def test_nothing_is_painted_through_the_object() -> None:

@@ -96,6 +96,8 @@ class TextureOptions(Options):
     max_faces: Count = 50_000  # of that mesh
     same_side: Share = 0.2  # cosine between the normals of two surfaces below which they are different sides of a sheet
     min_z: Positive = 0.05  # least z of a baked normal; a renderer shows black where it looks away from the surface
+    brightest: Share = 0.9  # albedo that no surface exceeds; less light than that is not believed
+    brighter: Share = 0.01  # share of the vertices that may exceed it
     unwrap: UnwrapOptions = field(default_factory=UnwrapOptions)
     gloss: GlossOptions = field(default_factory=GlossOptions)
     static_light: StaticLightOptions = field(default_factory=StaticLightOptions)

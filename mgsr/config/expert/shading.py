@@ -220,8 +220,6 @@ class GlossOptions(Options):
     dielectric: Annotated[float, Range(0, 1, open=True)] = 0.04  # reflectance of dielectrics at normal incidence
     metal: Share = 0.8  # reflectance of a metal in its brightest channel; the light's brightness is not known apart
     # from it
-    metal_deviation: NotNegative = 1.15  # times a dielectric's deviation; a metal, without a matte part, may be so much
-    # worse
     matte_deviation: NotNegative = 0.95  # times that of a surface without gloss; gloss must explain the photographs so
     # much better
     outlier: Positive = 0.1  # linear light; larger residuals count no more than this

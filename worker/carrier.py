@@ -96,7 +96,7 @@ class Carrier:
             return  # the next look tries again
 
     def _send_previews(self) -> None:
-        for path in (self._scratch / "previews").glob("*.webp"):
+        for path in (self._scratch / "previews").glob("[!.]*"):
             if self._changed(path):
                 self._send(path, f"previews/{path.name}", path)
 

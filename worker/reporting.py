@@ -14,6 +14,7 @@ import numpy as np
 from mgsr.pipeline.progress import Event, EventCallback
 from mgsr.report.encode import shrunk, webp
 from mgsr.training.progress import Progress
+from worker.photographs import PhotographFiles
 
 # Seconds between two lines of training progress.
 EVERY = 0.5
@@ -33,6 +34,8 @@ BEFORE = {
     "outlines": 0.02,
     "start": 0.03,
     "exposures": 0.04,
+    "object": 0.043,
+    "background": 0.046,
     "plan": 0.05,
     "train": 0.05,
 }
@@ -48,6 +51,7 @@ class Reporter:
 
     def __init__(self, previews: Path, emit: Callable[..., None], log: EventCallback) -> None:
         self._previews = previews
+        self._photographs = PhotographFiles(previews)
         self._emit = emit
         self._log = log
         self._step, self._begun = "", time.monotonic()  # the step, and when it began; training's stays
@@ -60,6 +64,10 @@ class Reporter:
 
     def __call__(self, event: Event) -> None:
         self._log(event)
+        if event.scene is not None and event.inspection is not None:
+            self._photographs.checked(event.inspection, event.scene)
+        elif event.scene is not None:
+            self._photographs.masked(event.scene)
         if event.training is not None:
             self._train(event.training)
         elif event.step in BEFORE or event.step == "cameras":

@@ -28,6 +28,7 @@ class Code(StrEnum):
     WRONG_POSES = "wrong_poses"
     DOUBLED_STRUCTURE = "doubled_structure"
     CONTRADICTORY_POSE = "contradictory_pose"
+    INACCURATE_POSE = "inaccurate_pose"
     INACCURATE_POSES = "inaccurate_poses"
     SEPARATE_GROUPS = "separate_groups"
     SIMILAR_PLACES = "similar_places"
@@ -72,14 +73,17 @@ class Finding:
 class InspectedPhoto:
     """One photograph as it was inspected.
 
-    center and direction: of its camera, in the user's frame. residual: the median distance of matches from the epipolar
-    lines of the cameras, and reprojection: of points that three or more photographs share from their places in the
-    image, in pixels of the photograph; None where too few features match.
+    center, direction and up: of its camera, in the user's frame; up is the direction of the image's upper side. angles:
+    degrees that it sees across and down. residual: the median distance of matches from the epipolar lines of the
+    cameras, and reprojection: of points that three or more photographs share from their places in the image, in pixels
+    of the photograph; None where too few features match.
     """
 
     name: str
     center: tuple[float, float, float]
     direction: tuple[float, float, float]
+    up: tuple[float, float, float]
+    angles: tuple[float, float]
     residual: float | None
     reprojection: float | None
 
@@ -99,8 +103,8 @@ class Inspection:
 
     @property
     def contradictory(self) -> tuple[str, ...]:
-        """Return the names of the photographs whose poses contradict the others'."""
-        poses = (Code.DOUBLED_STRUCTURE, Code.CONTRADICTORY_POSE)
+        """Return the names of the photographs whose poses contradict the others', or are much less exact."""
+        poses = (Code.DOUBLED_STRUCTURE, Code.CONTRADICTORY_POSE, Code.INACCURATE_POSE)
         return tuple(name for finding in self.findings if finding.code in poses for name in finding.photographs)
 
     def to_json(self) -> dict[str, Any]:

@@ -109,11 +109,18 @@ def _photographs(
     found = []
     for index, (view, name) in enumerate(zip(views, names, strict=True)):
         camera = scene.user_from_scene.camera_to_user(view.camera)
-        x, y, z = camera.center.tolist()
-        right, down, forward = camera.cam_from_world[2, :3].tolist()
+        axes = camera.cam_from_world[:3, :3]
+        sides = np.array([camera.width, camera.height]) / camera.K[[0, 1], [0, 1]]
+        across, down = np.degrees(2 * np.arctan(sides / 2)).round(2).tolist()
         found.append(
             InspectedPhoto(
-                name, (x, y, z), (right, down, forward), _rounded(residuals[index]), _rounded(reprojection[index])
+                name,
+                _place(camera.center),
+                _place(axes[2]),
+                _place(-axes[1]),
+                (across, down),
+                _rounded(residuals[index]),
+                _rounded(reprojection[index]),
             )
         )
     return tuple(found)
@@ -127,6 +134,11 @@ def _residuals(count: int, pairs: Sequence[Pair]) -> np.ndarray:
             mine[pair.one].append(pair.residual * pair.scale)
             mine[pair.other].append(pair.residual * pair.scale)
     return np.array([np.median(each) if each else np.nan for each in mine])
+
+
+def _place(values: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
 
 
 def _rounded(value: float) -> float | None:

@@ -76,6 +76,7 @@ def check_poses(
     found = [
         *_clusters(names, groups, against),
         *_single(names, groups),
+        *_less_exact(names, judged.pairs, groups, options),
         *_inaccurate(judged.pairs, len(names), options),
     ]
     if not found:
@@ -149,6 +150,44 @@ def _single(names: Sequence[str], groups: PoseGroups) -> list[Finding]:
             pick(names, mine),
         )
     ]
+
+
+def _less_exact(
+    names: Sequence[str], pairs: Sequence[Pair], groups: PoseGroups, options: InspectionConfig
+) -> list[Finding]:
+    """Return a finding for the photographs whose poses are a little wrong, by a degree or two.
+
+    Such a pose fits none of its pairs well. The better quarter of them decides: where parts of the object look alike,
+    other pairs are off too, but these fit.
+    """
+    limits, mine = options.poses, _residuals_by_photo(pairs, len(names), options.pairs.min_matches)
+    far = max(limits.less_exact, limits.less_exact_usual * usual_residual(pairs, options.pairs.min_matches))
+    best = np.array([np.quantile(own, 0.25) if len(own) >= limits.less_exact_pairs else 0.0 for own in mine])
+    found = np.flatnonzero((best > far) & ~groups.contradictory)
+    if not len(found):
+        return []
+    return [
+        Finding(
+            Code.INACCURATE_POSE,
+            Severity.WARNING,
+            f"the poses of {len(found)} of {len(names)} photographs are less exact than the others: even their better "
+            f"matches are off by up to {best[found].max():.1f} px",
+            round(float(best[found].max()), 2),
+            "px",
+            f"{_LEAVE_OUT}, or {_ANEW}",
+            pick(names, found),
+        )
+    ]
+
+
+def _residuals_by_photo(pairs: Sequence[Pair], count: int, least: int) -> list[list[float]]:
+    """Return, for each of so many photographs, the residuals of its pairs that have enough matches."""
+    mine: list[list[float]] = [[] for _ in range(count)]
+    for pair in pairs:
+        if pair.own.sum() >= least:
+            mine[pair.one].append(pair.residual)
+            mine[pair.other].append(pair.residual)
+    return mine
 
 
 def _inaccurate(pairs: Sequence[Pair], count: int, options: InspectionConfig) -> list[Finding]:

@@ -37,7 +37,7 @@ from mgsr.pipeline.run_metadata import scene_line
 from mgsr.pipeline.scene_check import CheckedScene, check_scene, without_flawed
 from mgsr.pipeline.steps import Steps
 from mgsr.pipeline.time_budget import most_points, searches_object
-from mgsr.segmentation.object_masks import FoundObject, NoObject, find_object
+from mgsr.segmentation.object_masks import NoObject, find_object
 from mgsr.shading.lighting import Lighting, lit_scene
 from mgsr.start.points import StartingPoints
 from mgsr.start.starting_points import starting_points
@@ -175,7 +175,7 @@ def _with_kept_object(out: Path, scene: Scene, step: Steps) -> Scene:
     """Return the scene with the masks of the object that an earlier run left in `out`. Raises MgsrError."""
     scene = with_found_object(out, scene)
     note = "the object's masks are those that an earlier run found"
-    step.progress(Event("object", note))
+    step.progress(Event("object", note, scene=scene))
     return replace(scene, notes=(*scene.notes, note))
 
 
@@ -232,19 +232,21 @@ def _object_alone(
         else:
             note = f"the object was found; the agreement of its masks is {found.agreement.mean():.0%}"
             write_object(out, scene, found)
-        step.progress(Event("object", note))
     whole, scene = scene, replace(scene, notes=(*scene.notes, note))
-    if isinstance(found, FoundObject):
+    if isinstance(found, NoObject):
+        step.progress(Event("object", note))
+        if scene.exposures is None:
+            return scene, start
+    else:
+        scene = with_object(scene, found.train, found.test, ground_of(whole, found))
+        step.progress(Event("object", note, scene=scene))
         text = "training what lies around the object"
         with step("background", text):
             told = step.share("background", text)
             background = train_background(whole, found.train, start, config, step.should_stop, told)
             result_files.write_background(out, background, whole, config.output)
-        scene = with_object(scene, found.train, found.test, ground_of(whole, found))
         for each in scene.notes[len(whole.notes) + 1 :]:
             step.progress(Event("object", each))
-    elif scene.exposures is None:
-        return scene, start
     with step("object", "choosing starting points anew"):
         return scene, points(scene, "object", "choosing starting points anew")
 

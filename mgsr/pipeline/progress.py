@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from mgsr.data.scene import Scene
 from mgsr.inspection.findings import Inspection
 from mgsr.training.progress import Progress
 
@@ -15,7 +16,8 @@ class Event:
 
     step: load, cameras, check, start, plan, train, export, mesh, evaluate, model, render or report; text: one line for
     the user; training: the training's progress, in events of the training; done: the completed share 0..1 of a long
-    step, in events during that step; inspection: what the step check found, in its last event.
+    step, in events during that step; inspection: what the step check found, in its last event; scene: the photographs
+    in that event, and in the one that tells of a found object, then with its masks.
     """
 
     step: str
@@ -23,6 +25,7 @@ class Event:
     training: Progress | None = None
     done: float | None = None
     inspection: Inspection | None = None
+    scene: Scene | None = None
 
 
 EventCallback = Callable[[Event], None]

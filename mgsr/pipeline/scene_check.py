@@ -39,7 +39,7 @@ def check_scene(scene: Scene, config: Config, step: Steps) -> CheckedScene:
         for finding in inspection.findings:
             if finding.code not in _NOTED:
                 step.progress(Event("check", finding.line))
-        step.progress(Event("check", summary(inspection), inspection=inspection))
+        step.progress(Event("check", summary(inspection), inspection=inspection, scene=scene))
     if config.data.flawed is Flawed.DROP:
         kept = without_contradictory(scene, inspection)
         for note in kept.notes[len(scene.notes) :]:

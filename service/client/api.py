@@ -21,12 +21,14 @@ from typing import Any, BinaryIO
 import httpx
 
 from service.client.packing import packed
+from service.client.unfinished import UnfinishedUploads, fingerprint
 
 CHUNK = 1 << 18
 # An archive of more bytes goes in requests of so many: some proxies hold back a request until it is whole.
 REQUEST_BYTES = 32 << 20
 TRIES = 8
 _AGAIN = {429, 502, 503, 504}
+_GONE = {404, 410}  # the service does not have the upload, or a job has taken it
 _APPEND_AGAIN = _AGAIN | {408, 409}  # too slow; another offset
 _TUS = {"Tus-Resumable": "1.0.0"}
 
@@ -62,11 +64,16 @@ class DamagedDownload(Exception):
 
 
 class Client:
-    """One service. Use in `with`. Methods raise ServiceRefusal, and httpx.HTTPError where nobody answers for long."""
+    """One service. Use in `with`. Methods raise ServiceRefusal, and httpx.HTTPError where nobody answers for long.
 
-    def __init__(self, server: str, key: str | None = None) -> None:
+    unfinished: the folder for the addresses of interrupted uploads; the same submit continues them, in another program
+    too. Without it, an interrupted upload is deleted.
+    """
+
+    def __init__(self, server: str, key: str | None = None, unfinished: Path | None = None) -> None:
         headers = {} if key is None else {"Authorization": f"Bearer {key}"}
-        self._http = httpx.Client(base_url=server.rstrip("/"), headers=headers, timeout=60.0, follow_redirects=False)
+        self._server, self._key, self._unfinished = server.rstrip("/"), key, UnfinishedUploads(unfinished)
+        self._http = httpx.Client(base_url=self._server, headers=headers, timeout=60.0, follow_redirects=False)
 
     def __enter__(self) -> Client:
         return self
@@ -112,21 +119,53 @@ class Client:
         return created
 
     def _submit_resumable(self, archive: Path, options: str, counter: _TransferCounter) -> Job:
+        name = fingerprint(self._server, self._key, options, archive) if self._unfinished.kept else ""
+        earlier = self._unfinished.find(name)
+        if earlier is not None and (job := self._resume(name, earlier, archive, counter)) is not None:
+            return job
         metadata = f"options {base64.b64encode(options.encode()).decode()}"
         headers = _TUS | {"Upload-Length": str(counter.total), "Upload-Metadata": metadata}
         address = _again(lambda: self._http.post("/uploads", headers=headers)).headers["Location"]
+        self._unfinished.keep(name, address)
+        return self._finish(name, address, archive, counter, 0)
+
+    def _resume(self, name: str, address: str, archive: Path, counter: _TransferCounter) -> Job | None:
+        """Continue an earlier upload and return its job; None where the service does not have it any more."""
         try:
-            self._send_parts(address, archive, counter)
-        except BaseException:
-            with suppress(httpx.HTTPError):  # then the service deletes it later
-                self._http.delete(address, headers=_TUS, timeout=5.0)
+            try:
+                arrived = self._arrived(address)
+            except ServiceRefusal as refusal:
+                if refusal.status not in _GONE:
+                    raise
+                arrived = counter.total  # a job may have taken it
+            return self._finish(name, address, archive, counter, arrived)
+        except ServiceRefusal as refusal:
+            if refusal.status not in _GONE:
+                raise
+            return None
+
+    def _finish(self, name: str, address: str, archive: Path, counter: _TransferCounter, arrived: int) -> Job:
+        """Send what is missing of an upload, and return its job. name: its fingerprint."""
+        try:
+            self._send_parts(address, archive, counter, arrived)
+            created: Job = _again(lambda: self._http.post(f"{address}/job")).json()
+        except BaseException as error:
+            refused = isinstance(error, ServiceRefusal) and error.status not in _APPEND_AGAIN
+            if refused or not self._unfinished.kept:
+                self._unfinished.forget(name)
+                with suppress(httpx.HTTPError):  # then the service deletes it later
+                    self._http.delete(address, headers=_TUS, timeout=5.0)
             raise
-        created: Job = _again(lambda: self._http.post(f"{address}/job")).json()
+        self._unfinished.forget(name)
         return created
 
-    def _send_parts(self, address: str, archive: Path, counter: _TransferCounter) -> None:
-        """Send an archive to an upload, from where the service has it after each break."""
-        arrived = failures = 0
+    def _arrived(self, address: str) -> int:
+        """Return how many bytes of an upload the service has."""
+        return int(_again(lambda: self._http.head(address, headers=_TUS)).headers["Upload-Offset"])
+
+    def _send_parts(self, address: str, archive: Path, counter: _TransferCounter, arrived: int) -> None:
+        """Send an archive to an upload that has so many bytes, from where the service has it after each break."""
+        failures = 0
         while arrived < counter.total:
             try:
                 answer = self._append(address, archive, arrived, counter)
@@ -136,8 +175,7 @@ class Client:
                 if failures == TRIES or (isinstance(error, ServiceRefusal) and error.status not in _APPEND_AGAIN):
                     raise
                 time.sleep(_pause(failures))
-                head = _again(lambda: self._http.head(address, headers=_TUS))
-                known, arrived = arrived, int(head.headers["Upload-Offset"])
+                known, arrived = arrived, self._arrived(address)
                 failures = 0 if arrived > known else failures
 
     def _append(self, address: str, archive: Path, begin: int, counter: _TransferCounter) -> httpx.Response:

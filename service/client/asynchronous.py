@@ -11,10 +11,13 @@ from service.client.api import Client, Job, Progress, ignore
 
 
 class AsyncClient:
-    """One service. Use in `async with`. Raises as Client does. Progress is told in the thread of the event loop."""
+    """One service. Use in `async with`. Raises as Client does. Progress is told in the thread of the event loop.
 
-    def __init__(self, server: str, key: str | None = None) -> None:
-        self._client = Client(server, key)
+    unfinished: as in Client.
+    """
+
+    def __init__(self, server: str, key: str | None = None, unfinished: Path | None = None) -> None:
+        self._client = Client(server, key, unfinished)
 
     async def __aenter__(self) -> AsyncClient:
         return self

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
 
 from service.client.api import Client, DamagedDownload, Job, ServiceRefusal
 from service.client.packing import packed
+from service.client.unfinished import default_folder
 from service.contract.errors import SetupError
 from service.contract.options import JobOptions
 
@@ -80,7 +81,7 @@ def _talk(server: str, key: str | None, talk: Callable[[Client, Console], int]) 
     """Talk with a service and return the exit code. Raises SetupError with a message for the user if it fails."""
     console = Console(highlight=False)
     try:
-        with Client(server, key) as client:
+        with Client(server, key, default_folder()) as client:
             return talk(client, console)
     except ServiceRefusal as refusal:
         raise SetupError(f"{server} refuses: {refusal} ({refusal.code})") from refusal
@@ -90,7 +91,9 @@ def _talk(server: str, key: str | None, talk: Callable[[Client, Console], int]) 
         raise SetupError(str(error)) from error
     except KeyboardInterrupt:
         console.print(
-            "a submitted job continues without this program; `mgsr fetch ID` follows it and fetches its results"
+            "a submitted job continues without this program; `mgsr fetch ID` follows it and fetches its results. The "
+            "same `mgsr submit` continues a large upload where it stopped",
+            soft_wrap=True,
         )
         return INTERRUPTED
 

@@ -12,6 +12,7 @@ from fastapi.responses import RedirectResponse, StreamingResponse
 from pydantic import BaseModel
 
 from service.contract.jobs import attempt_path
+from service.contract.photographs import CheckedPhotographs
 from service.contract.records import Artifact, JobStatus
 from service.parts import Parts, PartsDep, SnapshotDep
 from service.problems import Problem, answers
@@ -123,12 +124,23 @@ async def get_preview(
     name: Annotated[str, Path(pattern="^[a-z_]{1,40}$", examples=["render"])],
     if_none_match: IfNoneMatch = None,
 ) -> Response:
-    """Get a preview of a view: `render`, `normals`, `transmitted` or `reflected`, refreshed during training."""
-    data = await _from_last_attempt(parts, snapshot, f"previews/{name}.webp")
-    headers = {"ETag": f'"{hashlib.sha256(data).hexdigest()[:32]}"', "Cache-Control": "no-cache"}
-    if if_none_match is not None and headers["ETag"] in if_none_match:
-        return Response(status_code=304, headers=headers)
-    return Response(data, media_type="image/webp", headers=headers)
+    """Get a preview of a view: `render`, `normals`, `transmitted` or `reflected`, refreshed during training.
+
+    `photographs` and `masks` are the sheets that GET .../photographs describes.
+    """
+    return _tagged(await _from_last_attempt(parts, snapshot, f"previews/{name}.webp"), "image/webp", if_none_match)
+
+
+@router.get(
+    "/photographs",
+    response_model=CheckedPhotographs,
+    responses={304: {"description": "The content is unchanged since the given ETag."}, **answers(404, 422)},
+)
+async def get_photographs(snapshot: SnapshotDep, parts: PartsDep, if_none_match: IfNoneMatch = None) -> Response:
+    """Get the photographs that were checked, with their cameras. Small pictures of them are at previews/."""
+    data = await _from_last_attempt(parts, snapshot, "previews/photographs.json")
+    checked = CheckedPhotographs.model_validate_json(data).model_dump_json().encode()
+    return _tagged(checked, "application/json", if_none_match)
 
 
 def _add_single(file: str, kind: str) -> None:
@@ -220,6 +232,14 @@ async def _from_last_attempt(parts: Parts, snapshot: Snapshot, name: str) -> byt
     if data is None:
         raise Problem(404, "not_yet", f"{name} does not exist yet; job {job} is {snapshot.view.status}")
     return data
+
+
+def _tagged(data: bytes, kind: str, if_none_match: str | None) -> Response:
+    """Return an answer with a tag by which the caller may ask for changes; 304 where it knows the content."""
+    headers = {"ETag": f'"{hashlib.sha256(data).hexdigest()[:32]}"', "Cache-Control": "no-cache"}
+    if if_none_match is not None and headers["ETag"] in if_none_match:
+        return Response(status_code=304, headers=headers)
+    return Response(data, media_type=kind, headers=headers)
 
 
 async def _nothing() -> AsyncIterator[bytes]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mgsr.config.expert import CoverageOptions, InspectionConfig, PairOptions, PhotoCheckOptions
 from mgsr.data.readers import load_scene
@@ -63,6 +64,19 @@ def test_single_wrong_poses(room: Room) -> None:
     scene = room_scene(changed(room.views, {4, 20}, lambda view: moved(view, 8, np.zeros(3))))
     finding = found(scene)[Code.CONTRADICTORY_POSE]
     assert finding.photographs == names({4, 20}) and finding.severity is Severity.WARNING
+
+
+def turned(view: View, axis: str, degrees: float) -> View:
+    """Return the view with its camera turned about an axis of its own: x, y, or z, which is the line of sight."""
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+    return replace(view, camera=replace(view.camera, cam_from_world=turn @ view.camera.cam_from_world))
+
+
+@pytest.mark.parametrize(("axis", "degrees"), [("x", 2), ("z", 4)])
+def test_a_camera_turned_by_a_few_degrees(room: Room, axis: str, degrees: float) -> None:
+    views = changed(room.views, {9}, lambda view: turned(view, axis, degrees))
+    assert inspect_scene(room_scene(views)).contradictory == ("009",)
 
 
 def test_poses_of_other_photographs(room: Room) -> None:
@@ -176,6 +190,14 @@ def test_a_real_capture_with_a_doubled_cluster(shared_data: Path) -> None:
     inspection = inspect_scene(replace(scene, train=train))
     assert inspection.findings[0].code is Code.DOUBLED_STRUCTURE
     assert set(inspection.contradictory) <= cluster and len(inspection.contradictory) > 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_real_camera_turned_by_two_degrees(shared_data: Path, axis: str) -> None:
+    scene = load_scene(shared_data / "handheld/hand_spot")
+    train = changed(scene.train, {18}, lambda view: turned(view, axis, 2))
+    assert inspect_scene(replace(scene, train=train)).contradictory == (scene.train[18].name,)
 
 
 def test_options_reach_the_checks(room: Room) -> None:

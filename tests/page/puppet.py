@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from pathlib import Path
 from typing import Any
 
 from redis import Redis
@@ -72,6 +73,11 @@ class Puppet:
     def check(self, findings: list[dict[str, Any]]) -> None:
         """Report what a check of the photographs found."""
         self.tell(step="check", text="the photographs are checked", progress=0.02, findings=findings)
+
+    def show_photographs(self, folder: Path) -> None:
+        """Hand on the files that tell of the photographs."""
+        for path in folder.iterdir():
+            self.jobs.store.replace(attempt_path(self.job, self.attempt, f"previews/{path.name}"), path.read_bytes())
 
     def fail(self, code: str, message: str, retryable: bool) -> None:
         """End the round with an error."""

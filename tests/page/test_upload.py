@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import FilePayload, Page, Route, expect
+from playwright.sync_api import FilePayload, Page, Request, Route, expect
 
 from service.contract.archives import Archives
 from service.contract.jobs import Jobs
@@ -240,3 +240,31 @@ def test_an_upload_that_is_cut_three_times_goes_on_by_itself(visit: Opener, serv
         job = page.url.rpartition("/")[2]
     gate.close()
     assert sent(service, job) == archive
+
+
+def test_an_upload_goes_on_after_the_page_was_closed(visit: Opener, service: Stack, tmp_path: Path) -> None:
+    """Close the page while it sends; a new page that is given the same folder sends only what is missing."""
+    noise = random.Random(2).randbytes(40 << 20)
+    (tmp_path / "vase").mkdir()
+    for number in range(2):
+        (tmp_path / "vase" / f"{number}.jpg").write_bytes(noise[number * (20 << 20) :][: 20 << 20])
+    with visit() as page:
+        devtools = page.context.new_cdp_session(page)
+        slow = {"offline": False, "latency": 0, "downloadThroughput": -1, "uploadThroughput": 8_000_000}
+        devtools.send("Network.enable")
+        devtools.send("Network.emulateNetworkConditions", slow)
+        page.set_input_files(FOLDER, tmp_path / "vase")
+        page.get_by_role("button", name="Start", exact=True).click()
+        until(page, "document.querySelector('#upload progress').value > 0.5")
+        context = page.context
+        page.close()
+        again = context.new_page()
+        asked: list[Request] = []
+        again.on("request", lambda request: asked.append(request))
+        again.goto(service.url)
+        again.set_input_files(FOLDER, tmp_path / "vase")
+        job = start(again)
+    sending = [request for request in asked if "/uploads" in request.url]
+    assert [request.method for request in sending] == ["HEAD", "PATCH", "POST"], "no second upload"
+    assert int(sending[1].headers["upload-offset"]) > 10 << 20
+    assert members(sent(service, str(job["id"]))) == files_of(tmp_path / "vase")

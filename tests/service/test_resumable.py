@@ -9,8 +9,12 @@ import itertools
 import json
 import os
 import random
+import signal
+import subprocess
+import sys
 import threading
 import time
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,9 +24,12 @@ from tusclient import client as tuspy
 from tusclient.exceptions import TusCommunicationError
 
 from service.client import Client, ServiceRefusal
+from service.client.submit import submit_scene
+from service.client.unfinished import default_folder
 from service.contract.archives import Archives
 from service.contract.jobs import Jobs
-from service.contract.resumable import ResumableUploads
+from service.contract.options import JobOptions
+from service.contract.resumable import ResumableUploads, job_of
 from service.contract.store import Store
 from service.keys import Keys
 from tests.service.hostile import Gate, RawRequest
@@ -261,6 +268,111 @@ def test_our_client_goes_on_over_a_connection_that_breaks_three_times(
     assert stored(idle, job["id"], tmp_path / "archive") == archive
     again = sum(max(0, later - earlier) for earlier, later in itertools.pairwise(told)) - len(archive)
     assert again < 30 << 20, "more was sent again than the sockets hold; 55 MiB would be all"
+
+
+# Submits what `mgsr submit` would, and is killed when 20 MiB have been sent.
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from service.client import Client
+from service.client.unfinished import default_folder
+from service.contract.options import JobOptions
+
+def sent(done: int, total: int) -> None:
+    if done > 20 << 20:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+options = JobOptions(name=Path(sys.argv[2]).name).model_dump(mode="json")
+with Client(sys.argv[1], None, default_folder()) as client:
+    client.submit(Path(sys.argv[2]), options, sent)
+"""
+
+
+def unfinished(stack: Stack, folder: Path) -> str:
+    """Return the id of the only upload that a folder of unfinished ones names; the service has a part of it."""
+    (note,) = folder.iterdir()
+    address = note.read_text()
+    ends = time.monotonic() + 20
+    while not 10 << 20 < offset(stack, address) < 35 << 20:
+        assert time.monotonic() < ends
+        time.sleep(0.05)
+    return address.rpartition("/")[2]
+
+
+def test_a_submit_that_was_killed_is_continued_by_the_same_submit(
+    idle: Stack, archive: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kill the sending program; `mgsr submit` with the same folder then makes a job of the same upload."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    scene = tmp_path / "scene"
+    scene.mkdir()
+    (scene / "noise.jpg").write_bytes(archive)
+    program = [sys.executable, "-c", KILLED, idle.url, str(scene)]
+    assert subprocess.run(program, env=idle.environment | os.environ, check=False).returncode == -signal.SIGKILL
+    upload = unfinished(idle, default_folder())
+    assert submit_scene(idle.url, None, scene, JobOptions(name="scene"), None) == 0
+    job = idle.http.get(f"/jobs/{job_of('local', upload)}").json()
+    assert (job["status"], job["name"]) == ("queued", "scene")
+    assert not list(default_folder().iterdir())
+    with zipfile.ZipFile(io.BytesIO(stored(idle, job["id"], tmp_path / "archive"))) as sent:
+        assert sent.read("noise.jpg") == archive
+
+
+def test_an_interrupted_upload_sends_only_what_is_missing(idle: Stack, archive: bytes, tmp_path: Path) -> None:
+    source, folder, told = tmp_path / "scene.zip", tmp_path / "unfinished", [0]
+    source.write_bytes(archive)
+
+    def interrupt(done: int, total: int) -> None:
+        if done > 34 << 20:
+            raise KeyboardInterrupt
+
+    with Client(idle.url, None, folder) as client, pytest.raises(KeyboardInterrupt):
+        client.submit(source, {"name": "one"}, interrupt)
+    upload = unfinished(idle, folder)
+    with Client(idle.url, None, folder) as client:
+        other = client.submit(source, {"name": "two"})  # other options: an upload of its own
+        job = client.submit(source, {"name": "one"}, lambda done, total: told.append(done))
+    assert job["id"] == job_of("local", upload) != other["id"]
+    assert told[1] >= 32 << 20, "the first request was whole, so its bytes are not sent again"
+    assert stored(idle, job["id"], tmp_path / "archive") == archive
+
+
+def test_an_upload_that_the_service_lost_begins_anew(idle: Stack, archive: bytes, tmp_path: Path) -> None:
+    source, folder = tmp_path / "scene.zip", tmp_path / "unfinished"
+    source.write_bytes(archive)
+
+    def interrupt(done: int, total: int) -> None:
+        if done > 20 << 20:
+            raise KeyboardInterrupt
+
+    with Client(idle.url, None, folder) as client:
+        with pytest.raises(KeyboardInterrupt):
+            client.submit(source, {}, interrupt)
+        upload = unfinished(idle, folder)
+        assert idle.http.delete(f"/uploads/{upload}", headers=TUS).status_code == 204
+        job = client.submit(source, {})
+    assert job["id"] != job_of("local", upload)
+    assert stored(idle, job["id"], tmp_path / "archive") == archive
+
+
+def test_a_job_whose_answer_got_lost_is_not_made_twice(idle: Stack, archive: bytes, tmp_path: Path) -> None:
+    """Kill the program between the job and its note of it: the same submit finds that job."""
+    source, folder = tmp_path / "scene.zip", tmp_path / "unfinished"
+    source.write_bytes(archive)
+
+    def interrupt(done: int, total: int) -> None:
+        if done > 34 << 20:
+            raise KeyboardInterrupt
+
+    with Client(idle.url, None, folder) as client:
+        with pytest.raises(KeyboardInterrupt):
+            client.submit(source, {}, interrupt)
+        address = f"/uploads/{unfinished(idle, folder)}"
+        begun = offset(idle, address)
+        append(idle, address, begun, archive[begun:])
+        made = idle.http.post(f"{address}/job").json()["id"]
+        assert client.submit(source, {})["id"] == made
+    assert not list(folder.iterdir())
 
 
 def test_what_our_client_gives_up_is_deleted(idle: Stack, tmp_path: Path) -> None:

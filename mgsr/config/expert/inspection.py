@@ -62,6 +62,9 @@ class PoseCheckOptions(Options):
     accused: Share = 0.5  # share of a cluster that must be in such pairs; a part that repeats elsewhere puts few there
     majority: Share = 0.5  # share of the decided photographs that the largest group must have to accuse others
     many: Share = 0.1  # share of the photographs with contradictory poses above which the finding is an error
+    less_exact: Positive = 0.7  # pixels; residual of a photograph's better pairs above which it fits less exactly
+    less_exact_usual: NotNegative = 4.0  # the same, times the usual residual
+    less_exact_pairs: Annotated[int, Range(2)] = 3  # pairs of a photograph, with fewer of which it is not judged
     inaccurate: NotNegative = 1.5  # pixels; usual residual above which poses are called inaccurate
     repeated: NotNegative = 0.15  # pairs that contradict, in proportion to those that agree, inside one group
     connected: Share = 0.8  # share of the photographs with many features that one group should have

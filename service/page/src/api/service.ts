@@ -3,7 +3,7 @@
 import { Connection } from "./connection";
 import { Problem, Unreachable, isAbort, readProblem } from "./problem";
 import { pieces } from "./stream";
-import type { Artifact, Job, JobList, JobOptions, Options } from "./types";
+import type { Artifact, Job, JobList, JobOptions, Options, Photographs } from "./types";
 
 const KEY = "mgsr-key";
 
@@ -104,6 +104,16 @@ export class Service extends EventTarget {
     const answer = await this.request(`/jobs/${job}/previews/${name}.webp`, { headers: { "If-None-Match": version } });
     if (answer.status === 304) return null;
     return { picture: await answer.blob(), version: answer.headers.get("ETag") ?? "" };
+  }
+
+  /** The photographs that a job has checked, with their cameras. */
+  photographs(job: string): Promise<Photographs> {
+    return this.json(`/jobs/${job}/photographs`);
+  }
+
+  /** A sheet of small pictures of these photographs, or of their masks. */
+  async sheet(job: string, name: "photographs" | "masks"): Promise<Blob> {
+    return (await this.request(`/jobs/${job}/previews/${name}.webp`)).blob();
   }
 
   async log(job: string): Promise<string> {

@@ -147,3 +147,27 @@ export interface Options {
   /** The most bytes of an archive. */
   max_upload: number;
 }
+
+export type Place = [number, number, number];
+
+/** A photograph that was checked, and its camera in the capture's frame. */
+export interface Photograph {
+  name: string;
+  center: Place;
+  direction: Place;
+  up: Place;
+  /** Degrees that the camera sees across and down. */
+  angles: [number, number];
+  residual: number | null;
+  reprojection: number | null;
+}
+
+/** The photographs that were checked; pictures of them lie in a sheet, in their order, in squares. */
+export interface Photographs {
+  tile: number;
+  columns: number;
+  masks: boolean;
+  middle: Place;
+  radius: number;
+  photographs: Photograph[];
+}

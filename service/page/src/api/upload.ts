@@ -1,7 +1,10 @@
-// Sends an archive in several requests, by the tus protocol: a broken connection costs only what was on its way.
+// Sends an archive in several requests, by the tus protocol: a broken connection costs only what was on its way. The
+// browser's storage keeps the upload's address, so that the same files go on after a restart of the page.
 
 import { DetailedError, Upload as TusUpload } from "tus-js-client";
 
+import type { Capture } from "../archive/capture";
+import { fingerprint } from "./fingerprint";
 import { Problem, Unreachable, readProblem } from "./problem";
 import type { Service } from "./service";
 import type { Job, JobOptions } from "./types";
@@ -12,13 +15,13 @@ const PAUSES = [500, 1000, 2000, 4000, 8000, 8000, 8000];
 // Statuses after which the same bytes may be taken later: too slow, another offset, busy, away.
 const AGAIN = new Set([408, 409, 429, 502, 503, 504]);
 
-/** An archive on its way. `send` can be called again after an error: it goes on where the service has it. */
+/** A capture on its way. `send` can be called again after an error: it goes on where the service has it. */
 export class Upload {
   private url: string | null = null;
 
   constructor(
     private readonly service: Service,
-    private readonly archive: Blob,
+    private readonly capture: Capture,
     private readonly options: JobOptions,
   ) {}
 
@@ -36,14 +39,15 @@ export class Upload {
 
   private transfer(progress: (sent: number) => void, signal: AbortSignal): Promise<void> {
     return new Promise((resolve, reject) => {
-      const upload = new TusUpload(this.archive, {
+      const upload = new TusUpload(this.capture.archive, {
         endpoint: "/uploads",
         uploadUrl: this.url,
         chunkSize: REQUEST_BYTES,
         retryDelays: PAUSES,
         headers: this.service.credentials,
         metadata: { options: JSON.stringify(this.options) },
-        storeFingerprintForResuming: false,
+        fingerprint: () => Promise.resolve(fingerprint([...this.capture.identity, JSON.stringify(this.options)])),
+        removeFingerprintOnSuccess: true,
         onUploadUrlAvailable: () => {
           this.url = upload.url;
         },
@@ -52,7 +56,7 @@ export class Upload {
         onSuccess: () => resolve(),
         onError: (error) => {
           const understood = this.understood(error);
-          if (understood instanceof Problem && understood.status !== 401) this.giveUp();
+          if (understood instanceof Problem && understood.status !== 401) this.giveUp(upload);
           reject(understood);
         },
       });
@@ -61,13 +65,18 @@ export class Upload {
         void upload.abort(true).catch(() => undefined);
         reject(signal.reason);
       });
-      upload.start();
+      void upload.findPreviousUploads().then((earlier) => {
+        if (signal.aborted) return;
+        const last = earlier.at(-1);
+        if (last !== undefined) upload.resumeFromPreviousUpload(last);
+        upload.start();
+      });
     });
   }
 
   /** Delete what the service has: it does not want the rest. */
-  private giveUp(): void {
-    if (this.url !== null) void TusUpload.terminate(this.url, { headers: this.service.credentials }).catch(() => undefined);
+  private giveUp(upload: TusUpload): void {
+    void upload.abort(true).catch(() => undefined);
     this.url = null;
   }
 

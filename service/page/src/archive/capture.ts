@@ -2,10 +2,14 @@
 
 import { tar, type Member } from "./tar";
 
-/** An archive or a video, and what it is called. files: how many it was made of; null where it was one already. */
+/**
+ * An archive or a video, and what it is called. files: how many it was made of; null where it was one already.
+ * identity: path, size and time of each file, which tell the capture from others.
+ */
 export interface Capture {
   name: string;
   archive: Blob;
+  identity: string[];
   type: string;
   files: number | null;
 }
@@ -28,12 +32,14 @@ export function captureOf(members: Member[]): Capture | null {
   const kept = members.filter(({ path }) => !LITTER.test(path));
   if (kept.length === 0) return null;
   const [first] = kept;
+  const identity = kept.map(({ path, file }) => `${path} ${file.size} ${file.lastModified}`);
   const type = TYPES.find(([ending]) => ending.test(first!.path))?.[1];
   if (kept.length === 1 && type !== undefined) {
-    return { name: stem(first!.file.name), archive: first!.file, type, files: null };
+    return { name: stem(first!.file.name), archive: first!.file, identity, type, files: null };
   }
   const { folder, inside } = withoutTop(kept);
-  return { name: folder ?? "photographs", archive: tar(inside), type: "application/x-tar", files: inside.length };
+  const archive = tar(inside);
+  return { name: folder ?? "photographs", archive, identity, type: "application/x-tar", files: inside.length };
 }
 
 /** The files of an input element: single ones, or a folder's. */

@@ -14,6 +14,7 @@ import { estimateSection } from "./estimate";
 import { failureCard } from "./failure";
 import { FindingsSection } from "./findings";
 import { LivePanel } from "./live";
+import { PhotographsSection } from "./photographs";
 import { ResultsPanel } from "./results";
 import type { View } from "./view";
 
@@ -31,6 +32,7 @@ class JobView {
   private readonly actions = h("div", { class: "actions" });
   private readonly trouble = h("div");
   private readonly findings = new FindingsSection();
+  private readonly photographs: PhotographsSection;
   private readonly body = h("div", { class: "body" });
   private stop = new AbortController();
   private job: Job | null = null;
@@ -41,6 +43,7 @@ class JobView {
     private readonly service: Service,
     private readonly id: string,
   ) {
+    this.photographs = new PhotographsSection(service, id);
     this.element = h(
       "article",
       { class: "job" },
@@ -48,6 +51,7 @@ class JobView {
       h("div", { class: "title" }, this.name, h("p", {}, this.status, " ", this.about), this.actions),
       this.trouble,
       this.findings.element,
+      this.photographs.element,
       this.body,
     );
     void this.follow();
@@ -57,6 +61,7 @@ class JobView {
     this.stop.abort();
     this.live?.leave();
     this.results?.leave();
+    this.photographs.leave();
   }
 
   private async follow(): Promise<void> {
@@ -86,6 +91,7 @@ class JobView {
     setText(this.about, [job.options.preset ?? "", moment(job.created), stayWord(job)].filter(Boolean).join(" · "));
     if (!sameActions(before, job)) this.offerActions(job);
     this.findings.update(job.findings);
+    this.photographs.update(job);
     if (job.finished === null) this.showLive(job);
     else if (before === null || before.finished !== job.finished) this.showEnd(job);
     if (before === null || activity(before) !== activity(job) || before.status !== job.status) this.tell(job);

@@ -30,7 +30,7 @@ export class UploadTray {
 
   /** Send a capture; trouble is shown, with a way to go on. */
   async start(capture: Capture, options: JobOptions): Promise<void> {
-    await this.send(capture, new Upload(this.service, capture.archive, options));
+    await this.send(capture, new Upload(this.service, capture, options));
   }
 
   private async send(capture: Capture, upload: Upload): Promise<void> {
@@ -54,6 +54,7 @@ export class UploadTray {
     const bar = h("progress", { max: 1, value: 0, "aria-label": "Upload" });
     const words = h("span", { class: "note" });
     const begun = performance.now();
+    let first: number | null = null; // share that an earlier page has sent
     this.place.replaceChildren(
       h(
         "div",
@@ -67,9 +68,10 @@ export class UploadTray {
     this.place.querySelector<HTMLElement>(".tray")!.focus();
     return (sent) => {
       const share = Math.min(sent / capture.archive.size, 1);
-      const left = ((performance.now() - begun) / 1000 / share) * (1 - share);
+      first ??= share;
+      const left = ((performance.now() - begun) / 1000 / (share - first)) * (1 - share);
       bar.value = share;
-      const rest = share >= 1 ? "the service checks the upload" : share > 0.02 ? `${duration(left)} left` : "";
+      const rest = share >= 1 ? "the service checks the upload" : share - first > 0.02 ? `${duration(left)} left` : "";
       setText(words, [`${percent(share)} of ${bytes(capture.archive.size)}`, rest].filter(Boolean).join(" · "));
     };
   }

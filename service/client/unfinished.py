@@ -1,0 +1,64 @@
+"""Uploads that a program did not finish: a folder holds their addresses, so that a later program continues them."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from contextlib import suppress
+from pathlib import Path
+
+_FORGOTTEN = 30 * 86400.0  # seconds after which an address is deleted; services delete uploads sooner
+
+
+def default_folder() -> Path:
+    """Return where `mgsr submit` keeps the addresses: by the XDG rule, ~/.local/state/mgsr/uploads."""
+    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state") / "mgsr/uploads"
+
+
+class UnfinishedUploads:
+    """The addresses of unfinished uploads by their fingerprints, a small file each.
+
+    folder: made when it is needed; None keeps nothing. A folder that can't be written costs resumption, not the upload.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+
+    @property
+    def kept(self) -> bool:
+        """Return whether addresses are kept at all."""
+        return self._folder is not None
+
+    def find(self, fingerprint: str) -> str | None:
+        """Return the address of an upload, None for an unknown one."""
+        if self._folder is None:
+            return None
+        try:
+            return (self._folder / fingerprint).read_text().strip() or None
+        except OSError:
+            return None
+
+    def keep(self, fingerprint: str, address: str) -> None:
+        """Note an upload, and delete notes that are a month old."""
+        if self._folder is None:
+            return
+        with suppress(OSError):
+            self._folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            for path in self._folder.iterdir():
+                if time.time() - path.stat().st_mtime > _FORGOTTEN:
+                    path.unlink()
+            (self._folder / fingerprint).write_text(address)
+
+    def forget(self, fingerprint: str) -> None:
+        """Delete a note."""
+        if self._folder is not None:
+            with suppress(OSError):
+                (self._folder / fingerprint).unlink()
+
+
+def fingerprint(server: str, key: str | None, options: str, archive: Path) -> str:
+    """Return what tells an upload from others: the SHA-256 of service, key, options and the archive's bytes."""
+    with archive.open("rb") as file:
+        content = hashlib.file_digest(file, "sha256").hexdigest()
+    return hashlib.sha256("\0".join([server, key or "", options, content]).encode()).hexdigest()

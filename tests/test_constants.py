@@ -227,6 +227,7 @@ REMAINING = {
     "report/charts.RIGHT": PICTURES,
     "report/charts.TOP": PICTURES,
     "report/charts.WIDTH": PICTURES,
+    "report/contact_sheet.TILE": PICTURES,
     "report/encode.EFFORT": PICTURES,
     "report/encode.QUALITY": PICTURES,
     "report/environment_map.BRIGHTEST": PICTURES,

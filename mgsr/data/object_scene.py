@@ -21,7 +21,8 @@ def with_object(
 
     train, test: masks [H,W] uint8 of the views, in their order. Views with an empty mask are left out. So are the few
     training views with masks that contradict the others; a note names them. Raises SceneError if no object fits the
-    masks. ground [4]: the plane on which the object stands, in the user's frame, None if it is unknown.
+    masks. Found masks err in places, so a small share of them may exclude a point of the object. ground [4]: the plane
+    on which the object stands, in the user's frame, None if it is unknown.
     """
     old, options = scene.user_from_scene, scene.options
     views, tests = (
@@ -44,6 +45,7 @@ def with_object(
         points=points,
         user_from_scene=frame,
         ground=ground,
+        mask_dissent=int(options.mask_dissent * len(views)),
         notes=(*scene.notes, *odd),
     )
 

@@ -131,7 +131,8 @@ class Scene:
     and the expert options of the reading; None and the defaults for a scene that was not read from files.
 
     ground [4]: the plane on which a found object stands, None if it is unknown. It holds the points x with
-    ground[:3] . x + ground[3] = 0; its unit normal points up.
+    ground[:3] . x + ground[3] = 0; its unit normal points up. mask_dissent: the number of training views whose masks
+    may exclude a point of the object; 0 for masks that came with the capture.
     """
 
     name: str
@@ -149,6 +150,7 @@ class Scene:
     read_with: DataConfig = field(default_factory=DataConfig)
     options: DataOptions = field(default_factory=DataOptions)
     ground: np.ndarray | None = None
+    mask_dissent: int = 0
 
     @property
     def masked(self) -> bool:

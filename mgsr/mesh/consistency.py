@@ -125,9 +125,11 @@ def _weighted_surface(view: SurfaceView, rules: PixelRules) -> np.ndarray:
 
 
 class SilhouetteHull:
-    """The visual hull: the space inside all silhouettes."""
+    """The visual hull: the space inside all silhouettes, or inside all but `dissent` of them."""
 
-    def __init__(self, silhouettes: Sequence[Silhouette]) -> None:
+    def __init__(self, silhouettes: Sequence[Silhouette], dissent: int = 0) -> None:
+        """Prepare the hull. dissent: the number of silhouettes that may exclude a point of the hull."""
+        self._dissent = dissent
         self._cameras = [silhouette.camera for silhouette in silhouettes]
         self._outside = [_outside(silhouette) for silhouette in silhouettes]
 
@@ -137,12 +139,16 @@ class SilhouetteHull:
         margin: the tolerance outside a silhouette, in pixels. A silhouette counts if the point projects to a valid
         pixel of its image.
         """
-        worst = np.zeros(len(points), np.float32)
+        largest = np.zeros((self._dissent + 1, len(points)), np.float32)  # sorted, the largest first
         for camera, outside in zip(self._cameras, self._outside, strict=True):
             index, pixels, depths = project(camera, points)
             over = np.maximum(nearest(outside, pixels) - margin, 0) * depths / camera.K[0, 0]
-            worst[index] = np.maximum(worst[index], over)
-        return worst
+            for row in largest:
+                smaller = np.minimum(row[index], over)
+                row[index] = np.maximum(row[index], over)
+                over = smaller
+        excess: np.ndarray = largest[self._dissent]
+        return excess
 
 
 def _outside(silhouette: Silhouette) -> np.ndarray:

@@ -38,12 +38,15 @@ def extract_mesh(
     start: Mesh | None = None,
     steps: Sequence[MeshStep] | None = None,
     ground: np.ndarray | None = None,
+    dissent: int = 0,
     expert: ExpertConfig = ExpertConfig(),
 ) -> ReconstructedMesh:
     """Extract the surface that the views show, in their frame, and finish it in steps (`mgsr.mesh.steps`).
 
     silhouettes: of the training photographs' masks, if the scene has masks; the mesh then lies inside them, and its
-    contours coincide with theirs. photographs: the training views, which refine the mesh. threads: the cores to use;
+    contours coincide with theirs. dissent: the number of silhouettes that may exclude a part of the mesh.
+
+    photographs: the training views, which refine the mesh. threads: the cores to use;
     None: all. go_on: returns whether there is time for another round of refinement. start: the surface on which
     training began. It replaces the trained surface if the photographs clearly prefer it. If the trained surface is
     torn, `start` fitted to the views replaces it. ground [4]: the plane on which the object stands, in the views'
@@ -55,7 +58,7 @@ def extract_mesh(
     footprint = median_footprint(views, config.min_alpha)
     if footprint is None:
         raise MeshError(_nothing_seen(views, config))
-    hull = SilhouetteHull(silhouettes) if silhouettes and config.hull_margin is not None else None
+    hull = SilhouetteHull(silhouettes, dissent) if silhouettes and config.hull_margin is not None else None
     photos = PhotoSet(photographs, silhouettes, threads, expert.shading.observations)
     context = StepContext(views, photos, config, footprint, hull, TimeLeft(go_on), ground, expert.mesh)
     extract = {Extractor.POISSON: _by_poisson, Extractor.TSDF: _by_tsdf}[config.extractor]

@@ -45,6 +45,7 @@ def make_mesh(
         go_on=go_on,
         start=start,
         ground=scene.ground,
+        dissent=scene.mask_dissent,
         expert=config.expert,
     )
     return mesh.in_frame(scene.user_from_scene.to_user(mesh.vertices))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ def test_the_frame_is_that_of_the_capture_with_masks(folder: Path) -> None:
     assert not bare.masked and bare.user_from_scene.scale != pytest.approx(masked.user_from_scene.scale, rel=1e-3)
     train, test = ([present(view.alpha) for view in views] for views in (masked.train, masked.test))
     found = with_object(bare, train, test)
-    assert found.masked
+    assert found.masked and not masked.mask_dissent
     assert found.user_from_scene.scale == pytest.approx(masked.user_from_scene.scale)
     np.testing.assert_allclose(found.user_from_scene.offset, masked.user_from_scene.offset, atol=1e-9)
     for one, other in zip(found.train + found.test, masked.train + masked.test, strict=True):
@@ -44,3 +45,11 @@ def test_views_without_the_object_and_with_odd_masks_are_left_out(folder: Path) 
     names = [view.name for view in found.train]
     assert bare.train[0].name not in names and bare.train[3].name not in names and len(names) == len(masks) - 2
     assert "exclude places that the others count as the object" in found.notes[-1]
+
+
+def test_a_share_of_found_masks_may_dissent(folder: Path) -> None:
+    masked = load_scene(folder, make_config().data)
+    options = replace(make_config().expert.data, mask_dissent=0.25)
+    bare = load_scene(folder, make_config(overrides=["masks=off"]).data, options=options)
+    train, test = ([present(view.alpha) for view in views] for views in (masked.train, masked.test))
+    assert with_object(bare, train, test).mask_dissent == len(train) // 4 > 0

@@ -113,6 +113,18 @@ def test_nothing_stays_outside_the_silhouettes() -> None:
     assert radial_error(held).mean() < 0.032
 
 
+def test_one_wrong_mask_cuts_only_where_no_mask_may_dissent() -> None:
+    cameras = cameras_around(16)
+    views, silhouettes = views_of(ball(RADIUS), cameras), silhouettes_of(ball(RADIUS), cameras)
+    smaller = silhouettes_of(ball(0.6 * RADIUS), cameras[:1])
+    wrong, config = [*smaller, *silhouettes[1:]], replace(CONFIG, silhouette_smoothing=None)
+    cut, whole = (extract_mesh(views, config, wrong, dissent=dissent) for dissent in (0, 1))
+    assert radial_error(cut).max() > 0.05
+    assert radial_error(whole).max() < 0.02
+    two_wrong = [*smaller, *silhouettes_of(ball(0.6 * RADIUS), cameras[1:2]), *silhouettes[2:]]
+    assert radial_error(extract_mesh(views, config, two_wrong, dissent=1)).max() > 0.05
+
+
 def test_what_was_never_seen_stays_open_unless_closed() -> None:
     above = [camera for camera in cameras_around(40) if camera.center[2] > 1.2]
     views = views_of(ball(RADIUS), above)

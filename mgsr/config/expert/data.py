@@ -186,6 +186,7 @@ class CameraSearchOptions(Options):
 class DataOptions(Options):
     """The reading of a capture."""
 
+    mask_dissent: Share = 0.06  # share of the masks of a found object that may exclude a point of it
     backdrop: BackdropOptions = field(default_factory=BackdropOptions)
     mask_use: MaskUseOptions = field(default_factory=MaskUseOptions)
     odd_masks: OddMaskOptions = field(default_factory=OddMaskOptions)

@@ -130,7 +130,7 @@ RENDERED = (
     BenchmarkScene(
         "penguin_black_hdr",
         Kind.GLOSS,
-        SceneSet.JUDGING,
+        SceneSet.TUNING,
         "penguin.obj",
         "--up y --color 0.01,0.01,0.01 --material plastic --roughness 0.05 --light hdr --white 0.06 --seed 205",
     ),
@@ -217,10 +217,26 @@ RENDERED = (
     BenchmarkScene(
         "brucewick_dark",
         Kind.DARK,
-        SceneSet.JUDGING,
+        SceneSet.TUNING,
         "brucewick.obj",
         "--up y --solid stripes --freq 5 --color 0.60,0.30,0.15 --color2 0.12,0.22,0.35 --material plastic "
         "--roughness 0.2 --light dark --noise 2 --seed 308",
+    ),
+    BenchmarkScene(
+        "cheburashka_dark",
+        Kind.DARK,
+        SceneSet.JUDGING,
+        "cheburashka.obj",
+        "--up y --rotz 15 --solid blobs --freq 5 --color 0.58,0.40,0.22 --color2 0.14,0.20,0.30 --material plastic "
+        "--roughness 0.25 --light dark --noise 2 --seed 402",
+    ),
+    BenchmarkScene(
+        "fish_black_hdr",
+        Kind.GLOSS,
+        SceneSet.JUDGING,
+        "fish.obj",
+        "--up y --rotz 20 --color 0.012,0.012,0.012 --material plastic --roughness 0.08 --light hdr --white 0.06 "
+        "--seed 403",
     ),
     BenchmarkScene(
         "hand_cone_hdr",

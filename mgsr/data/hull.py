@@ -109,12 +109,16 @@ def signed_field(outlines: Sequence[Silhouette], points: np.ndarray, dissent: in
     told = np.zeros(len(points), dtype=np.int32)
     for tells, distance in map_ahead(lambda outline: view_field(outline, points), outlines, None):
         told += tells
-        below = np.where(tells, distance, np.inf).astype(np.float32)
-        for row in lowest:
-            larger = np.maximum(row, below)
-            np.minimum(row, below, out=row)
-            below = larger
+        keep_lowest(lowest, np.where(tells, distance, np.inf).astype(np.float32))
     return lowest[dissent], told >= max(2 + dissent, MIN_SEEN * len(outlines))
+
+
+def keep_lowest(lowest: np.ndarray, values: np.ndarray) -> None:
+    """Insert values [P] into the lowest values so far [N,P], sorted with the least first; the largest falls out."""
+    for row in lowest:
+        larger = np.maximum(row, values)
+        np.minimum(row, values, out=row)
+        values = larger
 
 
 def view_field(outline: Silhouette, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

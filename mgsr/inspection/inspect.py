@@ -22,7 +22,7 @@ from mgsr.inspection.photo_check import (
 )
 from mgsr.inspection.pose_check import check_movement, check_poses, group_by_pose
 from mgsr.inspection.tracks import Tracks, find_tracks
-from mgsr.inspection.verdicts import Judged, Verdict, judge
+from mgsr.inspection.verdicts import Judged, Verdict, judge, pairs_by_photo
 
 
 def inspect_scene(
@@ -128,11 +128,7 @@ def _photographs(
 
 def _residuals(count: int, pairs: Sequence[Pair]) -> np.ndarray:
     """Return each photograph's median residual [V], pixels, over the pairs whose matches share a geometry; or NaN."""
-    mine: list[list[float]] = [[] for _ in range(count)]
-    for pair in pairs:
-        if pair.own.any():
-            mine[pair.one].append(pair.residual * pair.scale)
-            mine[pair.other].append(pair.residual * pair.scale)
+    mine = [[pair.residual * pair.scale for pair in each] for each in pairs_by_photo(pairs, count, 1)]
     return np.array([np.median(each) if each else np.nan for each in mine])
 
 

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from mgsr.config.expert import InspectionConfig, PoseCheckOptions
 from mgsr.inspection.findings import Code, Finding, Severity, pick
 from mgsr.inspection.pairs import Pair
-from mgsr.inspection.verdicts import Judged, Verdict, usual_residual
+from mgsr.inspection.verdicts import Judged, Verdict, pairs_by_photo, usual_residual
 
 _LEAVE_OUT = "`--set flawed=drop` leaves them out"
 _ANEW = "find the cameras anew (`mgsr poses`)"
@@ -160,9 +160,10 @@ def _less_exact(
     Such a pose fits none of its pairs well. The better quarter of them decides: where parts of the object look alike,
     other pairs are off too, but these fit.
     """
-    limits, mine = options.poses, _residuals_by_photo(pairs, len(names), options.pairs.min_matches)
-    far = max(limits.less_exact, limits.less_exact_usual * usual_residual(pairs, options.pairs.min_matches))
-    best = np.array([np.quantile(own, 0.25) if len(own) >= limits.less_exact_pairs else 0.0 for own in mine])
+    limits, least = options.poses, options.pairs.min_matches
+    far = max(limits.less_exact, limits.less_exact_usual * usual_residual(pairs, least))
+    residuals = [[pair.residual for pair in mine] for mine in pairs_by_photo(pairs, len(names), least)]
+    best = np.array([np.quantile(each, 0.25) if len(each) >= limits.less_exact_pairs else 0.0 for each in residuals])
     found = np.flatnonzero((best > far) & ~groups.contradictory)
     if not len(found):
         return []
@@ -178,16 +179,6 @@ def _less_exact(
             pick(names, found),
         )
     ]
-
-
-def _residuals_by_photo(pairs: Sequence[Pair], count: int, least: int) -> list[list[float]]:
-    """Return, for each of so many photographs, the residuals of its pairs that have enough matches."""
-    mine: list[list[float]] = [[] for _ in range(count)]
-    for pair in pairs:
-        if pair.own.sum() >= least:
-            mine[pair.one].append(pair.residual)
-            mine[pair.other].append(pair.residual)
-    return mine
 
 
 def _inaccurate(pairs: Sequence[Pair], count: int, options: InspectionConfig) -> list[Finding]:

@@ -50,6 +50,16 @@ def usual_residual(pairs: Sequence[Pair], min_matches: int = PairOptions().min_m
     return float(np.median(told)) if told else 0.0
 
 
+def pairs_by_photo(pairs: Sequence[Pair], count: int, min_matches: int) -> list[list[Pair]]:
+    """Return, for each of `count` photographs, its pairs in which at least `min_matches` matches share a geometry."""
+    mine: list[list[Pair]] = [[] for _ in range(count)]
+    for pair in pairs:
+        if pair.own.sum() >= min_matches:
+            mine[pair.one].append(pair)
+            mine[pair.other].append(pair)
+    return mine
+
+
 def judge(
     cameras: Sequence[Camera],
     features: Sequence[Features],

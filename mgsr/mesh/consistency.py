@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from mgsr.config.expert import MeshOptions
+from mgsr.data.hull import keep_lowest
 from mgsr.data.silhouettes import Silhouette
 from mgsr.mesh.pixels import PixelRules, surface_pixels
 from mgsr.mesh.points import OrientedPoints
@@ -139,16 +140,13 @@ class SilhouetteHull:
         margin: the tolerance outside a silhouette, in pixels. A silhouette counts if the point projects to a valid
         pixel of its image.
         """
-        largest = np.zeros((self._dissent + 1, len(points)), np.float32)  # sorted, the largest first
+        lowest = np.zeros((self._dissent + 1, len(points)), np.float32)  # of the negative distances
         for camera, outside in zip(self._cameras, self._outside, strict=True):
             index, pixels, depths = project(camera, points)
-            over = np.maximum(nearest(outside, pixels) - margin, 0) * depths / camera.K[0, 0]
-            for row in largest:
-                smaller = np.minimum(row[index], over)
-                row[index] = np.maximum(row[index], over)
-                over = smaller
-        excess: np.ndarray = largest[self._dissent]
-        return excess
+            below = np.zeros(len(points), np.float32)
+            below[index] = np.minimum(margin - nearest(outside, pixels), 0) * depths / camera.K[0, 0]
+            keep_lowest(lowest, below)
+        return -np.asarray(lowest[self._dissent])
 
 
 def _outside(silhouette: Silhouette) -> np.ndarray:

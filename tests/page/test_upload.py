@@ -200,13 +200,18 @@ def test_what_is_too_large_is_not_sent(visit: Opener) -> None:
         expect(page.get_by_role("button", name="Start", exact=True)).to_have_count(0)
 
 
+def slow_down(page: Page, rate: int) -> None:
+    """Limit a page's uploads to a rate in bytes a second."""
+    devtools = page.context.new_cdp_session(page)
+    slow = {"offline": False, "latency": 0, "downloadThroughput": -1, "uploadThroughput": rate}
+    devtools.send("Network.enable")
+    devtools.send("Network.emulateNetworkConditions", slow)
+
+
 def test_progress_is_shown_and_an_upload_can_be_cancelled(visit: Opener, service: Stack) -> None:
     before = len(service.http.get("/jobs?limit=200").json()["jobs"])
     with visit() as page:
-        devtools = page.context.new_cdp_session(page)
-        slow = {"offline": False, "latency": 0, "downloadThroughput": -1, "uploadThroughput": 200_000}
-        devtools.send("Network.enable")
-        devtools.send("Network.emulateNetworkConditions", slow)
+        slow_down(page, 200_000)
         page.set_input_files(ARCHIVE, zip_file() | {"buffer": b"PK" + bytes(2_000_000)})
         page.get_by_role("button", name="Start", exact=True).click()
         bar = page.get_by_role("progressbar", name="Upload")
@@ -225,10 +230,7 @@ def test_an_upload_that_is_cut_three_times_goes_on_by_itself(visit: Opener, serv
     gate = Gate(service.port)
     gate.open()
     with visit(url=f"http://127.0.0.1:{gate.port}") as page:
-        devtools = page.context.new_cdp_session(page)
-        slow = {"offline": False, "latency": 0, "downloadThroughput": -1, "uploadThroughput": 8_000_000}
-        devtools.send("Network.enable")
-        devtools.send("Network.emulateNetworkConditions", slow)
+        slow_down(page, 8_000_000)
         page.set_input_files(ARCHIVE, tmp_path / "noise.zip")
         page.get_by_role("button", name="Start", exact=True).click()
         for share in (0.1, 0.4, 0.7):
@@ -249,10 +251,7 @@ def test_an_upload_goes_on_after_the_page_was_closed(visit: Opener, service: Sta
     for number in range(2):
         (tmp_path / "vase" / f"{number}.jpg").write_bytes(noise[number * (20 << 20) :][: 20 << 20])
     with visit() as page:
-        devtools = page.context.new_cdp_session(page)
-        slow = {"offline": False, "latency": 0, "downloadThroughput": -1, "uploadThroughput": 8_000_000}
-        devtools.send("Network.enable")
-        devtools.send("Network.emulateNetworkConditions", slow)
+        slow_down(page, 8_000_000)
         page.set_input_files(FOLDER, tmp_path / "vase")
         page.get_by_role("button", name="Start", exact=True).click()
         until(page, "document.querySelector('#upload progress').value > 0.5")

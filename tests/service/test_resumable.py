@@ -24,6 +24,7 @@ from tusclient import client as tuspy
 from tusclient.exceptions import TusCommunicationError
 
 from service.client import Client, ServiceRefusal
+from service.client.api import Progress
 from service.client.submit import submit_scene
 from service.client.unfinished import default_folder
 from service.contract.archives import Archives
@@ -318,14 +319,21 @@ def test_a_submit_that_was_killed_is_continued_by_the_same_submit(
         assert sent.read("noise.jpg") == archive
 
 
+def interrupted_after(count: int) -> Progress:
+    """Return a progress callback that interrupts once more than so many bytes are sent."""
+
+    def interrupt(done: int, total: int) -> None:
+        if done > count:
+            raise KeyboardInterrupt
+
+    return interrupt
+
+
 def test_an_interrupted_upload_sends_only_what_is_missing(idle: Stack, archive: bytes, tmp_path: Path) -> None:
     source, folder, told = tmp_path / "scene.zip", tmp_path / "unfinished", [0]
     source.write_bytes(archive)
 
-    def interrupt(done: int, total: int) -> None:
-        if done > 34 << 20:
-            raise KeyboardInterrupt
-
+    interrupt = interrupted_after(34 << 20)
     with Client(idle.url, None, folder) as client, pytest.raises(KeyboardInterrupt):
         client.submit(source, {"name": "one"}, interrupt)
     upload = unfinished(idle, folder)
@@ -341,10 +349,7 @@ def test_an_upload_that_the_service_lost_begins_anew(idle: Stack, archive: bytes
     source, folder = tmp_path / "scene.zip", tmp_path / "unfinished"
     source.write_bytes(archive)
 
-    def interrupt(done: int, total: int) -> None:
-        if done > 20 << 20:
-            raise KeyboardInterrupt
-
+    interrupt = interrupted_after(20 << 20)
     with Client(idle.url, None, folder) as client:
         with pytest.raises(KeyboardInterrupt):
             client.submit(source, {}, interrupt)
@@ -360,10 +365,7 @@ def test_a_job_whose_answer_got_lost_is_not_made_twice(idle: Stack, archive: byt
     source, folder = tmp_path / "scene.zip", tmp_path / "unfinished"
     source.write_bytes(archive)
 
-    def interrupt(done: int, total: int) -> None:
-        if done > 34 << 20:
-            raise KeyboardInterrupt
-
+    interrupt = interrupted_after(34 << 20)
     with Client(idle.url, None, folder) as client:
         with pytest.raises(KeyboardInterrupt):
             client.submit(source, {}, interrupt)

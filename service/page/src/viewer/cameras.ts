@@ -1,5 +1,5 @@
 // The cameras of a capture as pyramids with their photographs, the region that is reconstructed, and the places from
-// which photographs are missing. It draws only when something has changed.
+// which photographs are missing.
 
 import {
   BufferAttribute,
@@ -12,7 +12,6 @@ import {
   LineSegments,
   Mesh,
   MeshBasicMaterial,
-  PerspectiveCamera,
   Points,
   PointsMaterial,
   Quaternion,
@@ -25,16 +24,13 @@ import {
   WebGLRenderer,
   WireframeGeometry,
 } from "three";
-import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import type { Finding, Photograph, Photographs, Place } from "../api/types";
-import { h, newId } from "../parts/dom";
-import { byKeyboard } from "./keyboard";
+import { h } from "../parts/dom";
+import { OrbitView } from "./orbit";
 
 const HINT = "Turn: drag or arrow keys. Zoom: wheel, pinch, plus or minus. Choose a camera: click. Reset: Home.";
-const FIELD = 40; // degrees
 const FIRST_DIRECTION = new Vector3(0.4, 0.55, 1).normalize();
 const DEPTH = 0.13; // of a pyramid, where the farthest camera stands at 1
-const MOST_RATIO = 2;
 const CLICK = 4; // pixels that the pointer may move in a click
 const COLORS: Record<Finding["severity"], string> = { error: "--bad", warning: "--bad", note: "--accent" };
 
@@ -49,26 +45,22 @@ export function openCameras(
   return new CameraView(new WebGLRenderer({ antialias: true, alpha: true }), found, severities, missing, chosen);
 }
 
-export class CameraView {
+export class CameraView extends OrbitView {
   readonly element: HTMLElement;
-  private readonly camera = new PerspectiveCamera(FIELD, 1, 0.01, 100);
-  private readonly controls: OrbitControls;
   private readonly scene = new Scene();
-  private readonly watcher: ResizeObserver;
   private readonly pictures: Mesh<BufferGeometry, MeshBasicMaterial>;
   private readonly highlight: LineSegments<BufferGeometry, LineBasicMaterial>;
   private readonly corners: Vector3[][];
   private readonly middle = new Vector3(); // between the region's and the cameras'
-  private due = 0;
-  private placed = false;
 
   constructor(
-    private readonly renderer: WebGLRenderer,
+    renderer: WebGLRenderer,
     private readonly found: Photographs,
     severities: (Finding["severity"] | null)[],
     missing: Place[],
     private readonly chosen: (index: number) => void,
   ) {
+    super(renderer, "Cameras in 3D", HINT, 1);
     const world = new Frame(found);
     this.corners = found.photographs.map((photo) => pyramid(photo, world));
     for (const [apex] of this.corners) this.middle.addScaledVector(apex!, 0.5 / this.corners.length);
@@ -77,19 +69,9 @@ export class CameraView {
     const group = new Group().add(this.pictures, this.highlight, region(found.radius * world.scale));
     group.add(edges(this.corners, severities), places(missing.map((place) => world.place(place))));
     this.scene.add(group);
-    const hint = h("p", { class: "note hint", id: newId() }, HINT);
-    const canvas = renderer.domElement;
-    canvas.tabIndex = 0;
-    canvas.setAttribute("role", "application");
-    canvas.setAttribute("aria-label", "Cameras in 3D");
-    canvas.setAttribute("aria-describedby", hint.id);
-    this.element = h("div", { class: "viewer" }, h("div", { class: "tile stage" }, canvas), hint);
-    this.controls = new OrbitControls(this.camera, canvas);
-    this.controls.addEventListener("change", () => this.draw());
-    byKeyboard(canvas, this.controls, 1, () => this.home());
-    this.listenForClicks(canvas);
-    this.watcher = new ResizeObserver(() => this.fit());
-    this.watcher.observe(this.element);
+    this.element = h("div", { class: "viewer" }, h("div", { class: "tile stage" }, renderer.domElement), this.hint);
+    this.listenForClicks(renderer.domElement);
+    this.watch();
   }
 
   /** Show the pictures of a sheet in the pyramids. */
@@ -116,14 +98,9 @@ export class CameraView {
     this.draw();
   }
 
-  /** Give back what the graphics card holds. */
-  leave(): void {
-    cancelAnimationFrame(this.due);
-    this.watcher.disconnect();
-    this.controls.dispose();
+  override leave(): void {
     this.pictures.material.map?.dispose();
-    this.renderer.dispose();
-    this.renderer.forceContextLoss();
+    super.leave();
   }
 
   private listenForClicks(canvas: HTMLCanvasElement): void {
@@ -142,34 +119,13 @@ export class CameraView {
     });
   }
 
-  private home(): void {
-    this.placed = true;
-    const distance = 1.05 / Math.sin(((FIELD / 2) * Math.PI) / 180) / Math.min(1, this.camera.aspect);
+  protected override place(): void {
     this.controls.target.copy(this.middle);
-    this.camera.position.copy(this.middle).addScaledVector(FIRST_DIRECTION, distance);
-    this.controls.update();
-    this.draw();
+    this.camera.position.copy(this.middle).addScaledVector(FIRST_DIRECTION, this.distanceTo(1.05));
   }
 
-  private fit(): void {
-    const { clientWidth: width, clientHeight: height } = this.renderer.domElement.parentElement!;
-    if (width === 0 || height === 0) return;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_RATIO));
-    this.renderer.setSize(width, height);
-    this.camera.aspect = width / height;
-    this.camera.updateProjectionMatrix();
-    if (!this.placed) this.home();
-    this.draw();
-  }
-
-  /** Draw with the next frame, once however often it is asked for. */
-  private draw(): void {
-    if (this.due !== 0) return;
-    this.due = requestAnimationFrame(() => {
-      this.due = 0;
-      this.renderer.render(this.scene, this.camera);
-      this.element.dataset["frames"] = `${Number(this.element.dataset["frames"] ?? 0) + 1}`;
-    });
+  protected override drawNow(): void {
+    this.renderer.render(this.scene, this.camera);
   }
 }
 

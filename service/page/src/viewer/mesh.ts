@@ -1,8 +1,8 @@
 // The mesh of a GLB as MGSR writes it: one node, one material with its maps.
 
-import { DirectionalLight, DoubleSide, Group, HemisphereLight, Mesh, MeshBasicMaterial, MeshNormalMaterial } from "three";
+import { DirectionalLight, DoubleSide, Group, HemisphereLight, Mesh, MeshBasicMaterial, MeshNormalMaterial, TextureLoader } from "three";
 import { MeshStandardMaterial, type Material, type Object3D, type Quaternion, type Sphere, type Texture, type Vector3 } from "three";
-import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+import { GLTFLoader, type GLTFLoaderPlugin, type GLTFParser } from "three/addons/loaders/GLTFLoader.js";
 
 /** colour: as it is, without lights; clay: grey under lights, for the shape. */
 export type Surface = "colour" | "clay" | "normals" | "wireframe";
@@ -51,13 +51,20 @@ export class MeshObject {
 
 /** The mesh, moved to the scene's origin. Throws where there is none in the file. */
 export async function loadMesh(file: ArrayBuffer): Promise<MeshObject> {
-  const { scene } = await new GLTFLoader().parseAsync(file, "");
+  const loader = new GLTFLoader().register(withImages);
+  const { scene } = await loader.parseAsync(file, "");
   const mesh = firstMesh(scene);
   // The node puts the positions into the cameras' frame; near the origin they keep their precision on the card.
   const shift = mesh.position.clone().negate();
   const turn = mesh.quaternion.clone();
   mesh.position.set(0, 0, 0);
   return new MeshObject(mesh, { turn, shift });
+}
+
+/** Decode maps by <img>: the loader's own way fetches blobs, which the page's security policy forbids. */
+function withImages(parser: GLTFParser): GLTFLoaderPlugin {
+  parser.textureLoader = new TextureLoader(parser.options.manager);
+  return { name: "images" };
 }
 
 function firstMesh(scene: Object3D): Mesh {

@@ -1,12 +1,9 @@
 // Shows a mesh and splats from the same place: either, or both side by side with a divider to move.
-//
-// It draws only when something has changed: a page that shows a still object must not heat a phone.
 
-import { PerspectiveCamera, Scene, Sphere, Vector3, WebGLRenderer } from "three";
-import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { Scene, Sphere, Vector3, WebGLRenderer } from "three";
 import { h, newId } from "../parts/dom";
-import { byKeyboard } from "./keyboard";
 import { loadMesh, type MeshObject, type Surface } from "./mesh";
+import { OrbitView } from "./orbit";
 import { loadSplats, type SplatObject } from "./splats";
 
 export type Shown = "mesh" | "splats" | "both";
@@ -14,10 +11,7 @@ export type Shown = "mesh" | "splats" | "both";
 const SHOWN: Record<Shown, string> = { mesh: "Mesh", splats: "Splats", both: "Side by side" };
 const SURFACES: Record<Surface, string> = { colour: "Colour", clay: "Clay", normals: "Normals", wireframe: "Wireframe" };
 const HINT = "Turn: drag or arrow keys. Zoom: wheel, pinch, plus or minus. Move: right button, two fingers, or Shift and arrow keys. Reset: Home.";
-const FIELD = 40; // degrees
 const FIRST_DIRECTION = new Vector3(0.55, 0.4, 1).normalize();
-// More pixels than that are not seen, but cost.
-const MOST_RATIO = 2;
 
 /** A viewer of a mesh (GLB) and of splats (PLY, in the frame that the GLB's node turns; null for none). Throws where
  * a file can't be read or the browser has no WebGL 2. */
@@ -27,33 +21,24 @@ export async function openViewer(mesh: ArrayBuffer, splats: ArrayBuffer | null):
   return new Viewer(renderer, surface, splats);
 }
 
-export class Viewer {
+export class Viewer extends OrbitView {
   readonly element: HTMLElement;
-  private readonly camera = new PerspectiveCamera(FIELD, 1, 0.01, 100);
-  private readonly controls: OrbitControls;
   private readonly meshScene = new Scene();
   private readonly splatScene = new Scene();
-  private readonly watcher: ResizeObserver;
   private readonly divider = h("input", { type: "range", min: 0, max: 100, value: 50, "aria-label": "Divider between mesh and splats", class: "divider" });
-  private readonly hint = h("p", { class: "note hint", id: newId() }, HINT);
   private readonly line = h("div", { class: "line" });
   private splats: SplatObject | null = null;
   private shown: Shown = "mesh";
-  private due = 0;
-  private placed = false;
 
   constructor(
-    private readonly renderer: WebGLRenderer,
+    renderer: WebGLRenderer,
     private readonly mesh: MeshObject,
     splatFile: ArrayBuffer | null,
   ) {
+    super(renderer, "3D view", HINT, mesh.bounds.radius);
     this.element = h("div", { class: "viewer" }, this.stage(), this.toolbar(splatFile), this.hint);
     this.meshScene.add(mesh.object);
-    this.controls = new OrbitControls(this.camera, renderer.domElement);
-    this.controls.addEventListener("change", () => this.draw());
-    byKeyboard(renderer.domElement, this.controls, mesh.bounds.radius, () => this.home());
-    this.watcher = new ResizeObserver(() => this.fit());
-    this.watcher.observe(this.element);
+    this.watch();
     this.setSurface("colour");
     this.show("mesh");
   }
@@ -63,25 +48,15 @@ export class Viewer {
     this.renderer.domElement.focus();
   }
 
-  /** Give back what the graphics card holds. */
-  leave(): void {
-    cancelAnimationFrame(this.due);
-    this.watcher.disconnect();
-    this.controls.dispose();
+  override leave(): void {
     this.mesh.dispose();
     this.splats?.dispose();
-    this.renderer.dispose();
-    this.renderer.forceContextLoss();
+    super.leave();
   }
 
   private stage(): HTMLElement {
-    const canvas = this.renderer.domElement;
-    canvas.tabIndex = 0;
-    canvas.setAttribute("role", "application");
-    canvas.setAttribute("aria-label", "3D view");
-    canvas.setAttribute("aria-describedby", this.hint.id);
     this.divider.addEventListener("input", () => this.draw());
-    return h("div", { class: "tile stage" }, canvas, this.line, this.divider);
+    return h("div", { class: "tile stage" }, this.renderer.domElement, this.line, this.divider);
   }
 
   private toolbar(splatFile: ArrayBuffer | null): HTMLElement {
@@ -116,42 +91,16 @@ export class Viewer {
     this.draw();
   }
 
-  private home(): void {
-    this.placed = true;
+  protected override place(): void {
     const { center, radius }: Sphere = this.mesh.bounds;
-    const narrow = Math.min(1, this.camera.aspect);
-    const distance = (radius * 0.96) / Math.sin(((FIELD / 2) * Math.PI) / 180) / narrow;
-    this.camera.position.copy(center).addScaledVector(FIRST_DIRECTION, distance);
+    this.camera.position.copy(center).addScaledVector(FIRST_DIRECTION, this.distanceTo(0.96 * radius));
     this.camera.near = radius / 100;
     this.camera.far = radius * 100;
     this.camera.updateProjectionMatrix();
     this.controls.target.copy(center);
-    this.controls.update();
-    this.draw();
   }
 
-  private fit(): void {
-    const { clientWidth: width, clientHeight: height } = this.renderer.domElement.parentElement!;
-    if (width === 0 || height === 0) return;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_RATIO));
-    this.renderer.setSize(width, height);
-    this.camera.aspect = width / height;
-    this.camera.updateProjectionMatrix();
-    if (!this.placed) this.home(); // only now is known how much fits
-    this.draw();
-  }
-
-  /** Draw with the next frame, once however often it is asked for. */
-  private draw(): void {
-    if (this.due !== 0) return;
-    this.due = requestAnimationFrame(() => {
-      this.due = 0;
-      this.drawNow();
-      this.element.dataset["frames"] = `${Number(this.element.dataset["frames"] ?? 0) + 1}`;
-    });
-  }
-
-  private drawNow(): void {
+  protected override drawNow(): void {
     const { domElement: canvas } = this.renderer;
     const [width, height] = [canvas.clientWidth, canvas.clientHeight];
     const share = this.divider.valueAsNumber / 100;

@@ -39,7 +39,7 @@ def ready(page: Page, state: str) -> None:
         expect(page.locator(".pill")).not_to_have_text("")
     if state == "home":
         page.set_input_files(ARCHIVE, zip_file())
-    for summary in page.locator("summary").all():
+    for summary in page.locator("summary:visible").all():
         summary.click()
     if state == "done":
         page.get_by_role("button", name="Show in 3D").click()

@@ -68,7 +68,7 @@ def parsed(scene: BenchmarkScene, source: str) -> SimpleNamespace:
 
 
 def test_names_and_seeds_are_unique() -> None:
-    assert len({scene.name for scene in SCENES}) == len(SCENES) == 27
+    assert len({scene.name for scene in SCENES}) == len(SCENES) == 29
     seeds = [scene.arguments.split()[scene.arguments.split().index("--seed") + 1] for scene in RENDERED]
     assert len(set(seeds)) == len(RENDERED)
 

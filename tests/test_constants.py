@@ -27,6 +27,7 @@ TERMS = "the definition of a term that all packages share: hull, silhouette, val
 REMAINING = {
     "budget/budget.SCALES": SEARCHED,
     "budget/costs.FEATURE_PIXELS": PROGRESS,
+    "budget/costs.FILLED": PROGRESS,
     "budget/costs.FLASH_ROUNDS": PROGRESS,
     "budget/costs.GROWN": PROGRESS,
     "budget/costs.LEARNED": PROGRESS,
@@ -35,6 +36,7 @@ REMAINING = {
     "budget/costs.ROUNDS": PROGRESS,
     "budget/costs.SEARCHED": PROGRESS,
     "budget/costs.STEREO": PROGRESS,
+    "budget/costs.STEREO_POINTS": PROGRESS,
     "budget/costs.USUAL_PIXELS": PROGRESS,
     "budget/estimate._DRAFT_DEPTH": PROGRESS,
     "budget/estimate._PHOTOGRAPHS": PROGRESS,
@@ -275,7 +277,6 @@ REMAINING = {
     "start/masked_surface.MATCHED": PROGRESS,
     "start/masked_surface.NEAR_BEGUN": PROGRESS,
     "start/masked_surface.NEAR_SHADED": PROGRESS,
-    "start/plane_sweep.SWEPT": PROGRESS,
     "start/view_colors._UNSEEN": FORMAT,
     "training/branch.ORDER_EVERY": BATCH,
     "training/checkpoint.FORMAT": FORMAT,

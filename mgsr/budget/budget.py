@@ -26,7 +26,7 @@ from mgsr.config import (
     MeshConfig,
     Reflection,
     SurfelConfig,
-    gaussian_settings,
+    starting_settings,
 )
 from mgsr.training.stage_scheduler import FINISH, StageLength
 
@@ -45,6 +45,7 @@ class TimeBudget:
         assert config.time_budget is not None
         self.seconds, self.options = config.time_budget, config.expert.budget
         self.line = SettingsLine(config)
+        self._most_stereo = config.expert.start.stereo.max_pixels
         self.on_card = on_card
         self.place: float | None = None
         self.scale: float | None = None
@@ -76,6 +77,12 @@ class TimeBudget:
         return (self._slowness or 1.0) * self._drift
 
     @property
+    def stereo_pixels(self) -> int:
+        """Return how many pixels stereo of everything in view may search, so that it takes its share of the time."""
+        affordable = self.options.stereo_share * self.seconds / costs.STEREO * 1e6
+        return max(1, min(self._most_stereo, round(affordable)))
+
+    @property
     def too_small(self) -> bool:
         """Return whether not even the least plan was expected to end in time."""
         return self.least > 1.05 * self.seconds
@@ -94,7 +101,9 @@ class TimeBudget:
             if smaller.pixels < self.options.min_pixels and self.scale is not None:
                 break
             self.scale = scale
-            before = self.options.start_reserve * costs.start_cost(smaller) + reference_training(smaller, draft)
+            before = self.options.start_reserve * costs.start_cost(smaller, self.stereo_pixels) + reference_training(
+                smaller, draft
+            )
             if self.spent + self.slowness * before + self._after(smaller, draft.mesh) <= self._aim:
                 break
         assert self.scale is not None
@@ -316,8 +325,8 @@ def _work(config: Config, stage: str) -> int:
 
 def _splats(stage: str, facts: Facts, config: Config) -> dict[str, int]:
     """Return the number of splats by branch, in the middle of a stage."""
-    gaussians = gaussian_settings(config.train.gaussians, facts.masked)
-    branches: dict[str, SurfelConfig | GaussianConfig] = {"surfels": config.train.surfels, "gaussians": gaussians}
+    surfels, gaussians = starting_settings(config.train, facts.masked, costs.usual_points(facts, config))
+    branches: dict[str, SurfelConfig | GaussianConfig] = {"surfels": surfels, "gaussians": gaussians}
     if config.train.branches is not Branches.BOTH:
         branches = {config.train.branches.value: branches[config.train.branches.value]}
     most = {name: branch.densify.max_count for name, branch in branches.items()}

@@ -10,14 +10,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from mgsr.config import MeshConfig
+from mgsr.config import Config, MeshConfig
+from mgsr.config.expert import SceneStereoOptions
 from mgsr.data.image_pairs import pair_count
+from mgsr.data.scene import PHOTOGRAPHS
 from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import rendered_pixels, surface_cells
 
 USUAL_PIXELS = 256 * 256
 GROWN = 0.15  # Gaussians added by error-driven growth, per pixel of a view
-STEREO = 0.4  # a view
+STEREO = 9.0  # a megapixel that stereo searches in all photographs together
+FILLED = 0.1  # a view, to continue depths over what has no contrast
+STEREO_POINTS = 0.034  # starting points, per pixel that stereo searches
 ROUNDS, FLASH_ROUNDS = 3, 10  # of refining the surface, that long
 MODEL = 2.0  # unwrapping and baking
 SEARCHED = 1.9  # a view, for the object's masks
@@ -68,16 +72,22 @@ def cameras_cost(photographs: int, pixels: float, frames: bool) -> float:
     return photographs * (0.46 * megapixels + 0.05 * features) + pair_count(photographs, frames) * 0.0087 * features
 
 
-def start_cost(facts: Facts) -> float:
+def stereo_pixels(facts: Facts, most: int) -> float:
+    """Return the pixels that stereo of everything in view searches in all photographs; most: the setting's limit."""
+    return min(most, facts.pixels * min(facts.views, PHOTOGRAPHS))
+
+
+def start_cost(facts: Facts, most: int = SceneStereoOptions().max_pixels) -> float:
     """Return the seconds that finding the starting points takes, on the hull or by stereo.
 
-    Stereo looks at small photographs, so their size does not count.
+    most: the pixels that stereo of everything in view searches at most.
     """
-    search = (STEREO + SEARCHED) * facts.views if facts.searched else 0.0
+    search = SEARCHED * facts.views if facts.searched else 0.0
+    everything = STEREO * stereo_pixels(facts, most) / 1e6 + FILLED * min(facts.views, PHOTOGRAPHS)
     if not facts.masked and not facts.learned:
-        return search + STEREO * facts.views
+        return search + everything
     surface = (43.0 if facts.shiny else 26.0) * (facts.views / 48 * facts.size) ** 0.7
-    seconds: float = search + LEARNED * facts.learned + 2.0 + surface
+    seconds: float = search + everything * facts.searched + LEARNED * facts.learned + 2.0 + surface
     return seconds
 
 
@@ -97,6 +107,13 @@ def usual_count(start: int, facts: Facts) -> int:
     Scenes differ much: matte toys take 0.02 a pixel, lego 0.2.
     """
     return start + round(GROWN * facts.pixels)
+
+
+def usual_points(facts: Facts, config: Config) -> int:
+    """Return the usual number of starting points of a scene."""
+    if facts.masked or facts.learned:
+        return max(config.train.surfels.max_start, config.train.gaussians.max_start)
+    return round(STEREO_POINTS * stereo_pixels(facts, config.expert.start.stereo.max_pixels))
 
 
 def surface_cost(facts: Facts, config: MeshConfig) -> float:

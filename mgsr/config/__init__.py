@@ -35,7 +35,7 @@ from mgsr.config.train import (
     TrainConfig,
     WarmupConfig,
     WatchConfig,
-    gaussian_settings,
+    starting_settings,
 )
 from mgsr.config.validation import validate
 
@@ -81,9 +81,9 @@ __all__ = [
     "ablation_overrides",
     "apply_overrides",
     "field_types",
-    "gaussian_settings",
     "make_config",
     "object_box",
     "override_texts",
+    "starting_settings",
     "validate",
 ]

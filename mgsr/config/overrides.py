@@ -38,6 +38,7 @@ RENAMED: dict[str, str] = {
     "fade_from": "decay_from",
     "final": "final_factor",
     "blurred": "flawed",
+    "unmasked_count": "gaussians.densify.max_growth",
     "warmup.stop_rule": "paper.stop_rule",
     "warmup.validation_views": "paper.validation_views",
     "warmup.validation_every": "paper.validation_every",

@@ -40,8 +40,9 @@ PRESETS: dict[str, dict[str, str]] = {
         "surfels.start_scale": "0.5",
         "gaussians.max_start": "5000",
         "gaussians.sh_degree": "1",  # model selection finds the same where there is time for it
-        "surfels.densify.max_count": "10000",
-        "gaussians.densify.unmasked_count": "8000",
+        "surfels.unmasked_start": "15000",
+        "gaussians.unmasked_start": "25000",
+        "expert.start.stereo.max_pixels": "700000",
         "surfels.densify.prune_contribution": "0",  # a short mutual phase cannot repair the loss
         "gaussians.densify.prune_contribution": "0",
         "mesh.view_scale": "1.0",
@@ -51,10 +52,9 @@ PRESETS: dict[str, dict[str, str]] = {
     "standard": {},  # two to three minutes
     "high": {  # up to a fifth longer; longer training makes surfaces rougher and renders hardly better
         "surfels.max_start": "32000",
-        "surfels.densify.max_count": "40000",
         "gaussians.max_start": "20000",
         "gaussians.densify.tolerance": "0.02",
-        "gaussians.densify.unmasked_count": "40000",
+        "gaussians.densify.max_growth": "3",
     },
 }
 
@@ -69,6 +69,7 @@ METHODS: dict[str, dict[str, str]] = {
         "gaussians.sh_degree": "3",
         "transmitted_tv_weight": "0",
         "gaussians.densify.by": "gradient",
+        "gaussians.densify.max_growth": "none",
         "gaussians.densify.prune_contribution": "0",
     },
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import TypeVar
 
 from mgsr.config.paper import PaperConfig
 
@@ -83,10 +84,16 @@ class DensifyConfig:
     split_above: float = 0.01  # Splats longer than this times the extent are split. Shorter ones are cloned.
     split_shrink: float = 1.6  # A split divides the scales by this.
     prune_above: float = 0.1  # Splats longer than this times the extent are pruned.
-    max_count: int = 40_000  # No splats are added beyond this number.
+    max_count: int = 1_000_000  # No splats are added beyond this number.
+    # The gradient adds no splats beyond this many times the starting points, or max_start if that is more. none: it
+    # has no such limit.
+    max_growth: float | None = 1.25
     # After the warm-up, the splats that contribute least are pruned: together this share of all contributions. Scenes
     # without masks prune none, because a few huge background splats contribute most there.
     prune_contribution: float = 0.06
+
+
+Densify = TypeVar("Densify", bound=DensifyConfig)
 
 
 @dataclass(frozen=True)
@@ -103,9 +110,8 @@ class GaussianDensifyConfig(DensifyConfig):
     new_opacity: float = 0.6  # The opacity of Gaussians that errors add.
     scale_rate: float = 2e-2  # The learning rate of log-scales with by=error, in place of rates.scale.
     beta2: float = 0.99  # Adam's beta2 with by=error, in place of rates.beta2.
-    unmasked_count: int = 20_000  # max_count for scenes without masks, where the gradient decides.
     prune_opacity: float = 0.005  # Gaussians of lower opacity than this are pruned.
-    max_count: int = 1_000_000  # No Gaussians are added beyond this number.
+    max_growth: float | None = 1.5
     # After the warm-up, the Gaussians that contribute least are pruned: together this share of all contributions.
     # Scenes without masks prune none.
     prune_contribution: float = 0.01
@@ -117,6 +123,7 @@ class SurfelConfig:
 
     sh_degree: int = 2  # The SH degree of colour. With a higher one, colour explains what the shape should.
     max_start: int = 16_000  # More starting points than this are thinned at random.
+    unmasked_start: int = 40_000  # max_start for scenes without masks, where points lie on the background too.
     start_opacity: float = 0.9  # The initial opacity.
     # The initial scale, times the mean distance of the three nearest neighbours. Wide disks stand off curved surfaces.
     start_scale: float = 0.4
@@ -134,7 +141,7 @@ class SurfelConfig:
     rates: RatesConfig = field(
         default_factory=lambda: RatesConfig(position=5e-5, position_end=5e-6, sh_rest=2e-3, scale=5e-3)
     )
-    densify: DensifyConfig = field(default_factory=lambda: DensifyConfig(max_count=20_000))
+    densify: DensifyConfig = field(default_factory=DensifyConfig)
 
 
 class Reflection(StrEnum):
@@ -161,6 +168,7 @@ class GaussianConfig:
     sh_degree: int = 2
     reflected_sh_degree: int = 3  # The SH degree of the reflected colour.
     max_start: int = 10_000  # More starting points than this are thinned at random.
+    unmasked_start: int = 100_000  # max_start for scenes without masks, where points lie on the background too.
     start_opacity: float = 0.5  # The initial opacity.
     start_scale: float = 1.0  # The initial scale, times the mean distance of the three nearest neighbours.
     start_weight: float = 0.4  # The initial reflection weight beta, inside (0, 1).
@@ -273,12 +281,25 @@ class TrainConfig:
     watch: WatchConfig = field(default_factory=WatchConfig)
 
 
-def gaussian_settings(gaussians: GaussianConfig, masked: bool) -> GaussianConfig:
-    """Return the 3D branch's settings as they hold for a scene with or without masks (see Growth)."""
-    densify = gaussians.densify
-    if densify.by is Growth.GRADIENT:
-        return gaussians
-    if masked:
-        return replace(gaussians, rates=replace(gaussians.rates, scale=densify.scale_rate, beta2=densify.beta2))
-    most = min(densify.max_count, densify.unmasked_count)
-    return replace(gaussians, densify=replace(densify, by=Growth.GRADIENT, max_count=most))
+def starting_settings(train: TrainConfig, masked: bool, points: int) -> tuple[SurfelConfig, GaussianConfig]:
+    """Return both branches' settings as they hold for a scene with or without masks (see Growth).
+
+    points: the number of starting points. max_start and max_count of the result are those of the scene.
+    """
+    surfels, gaussians = train.surfels, train.gaussians
+    most = surfels.max_start if masked else surfels.unmasked_start
+    flat = _limited(surfels.densify, max(min(points, most), surfels.max_start))
+    surfels = replace(surfels, max_start=most, densify=flat)
+    if gaussians.densify.by is Growth.ERROR and masked:
+        rates = replace(gaussians.rates, scale=gaussians.densify.scale_rate, beta2=gaussians.densify.beta2)
+        return surfels, replace(gaussians, rates=rates)
+    most = gaussians.max_start if masked else gaussians.unmasked_start
+    full = replace(_limited(gaussians.densify, max(min(points, most), gaussians.max_start)), by=Growth.GRADIENT)
+    return surfels, replace(gaussians, max_start=most, densify=full)
+
+
+def _limited(densify: Densify, start: int) -> Densify:
+    """Return the settings with max_count as the limit of growth by gradients from `start` splats."""
+    if densify.max_growth is None:
+        return densify
+    return replace(densify, max_count=min(densify.max_count, round(densify.max_growth * start)))

@@ -22,14 +22,14 @@ Splats = TypeVar("Splats", SurfelModel, GaussianModel)
 class TrainedModel:
     """The trained branches, at least one, and the environment map, all in one frame.
 
-    A branch is None where the method lacks it, and the environment map where it is not used. background: surfels of
+    A branch is None where the method lacks it, and the environment map where it is not used. background: Gaussians of
     what lies around a found object; None where no object was looked for or found.
     """
 
     surfels: SurfelModel | None
     gaussians: GaussianModel | None
     environment_map: EnvironmentMap | None = None
-    background: SurfelModel | None = None
+    background: GaussianModel | None = None
 
     def to(self, device: torch.device) -> TrainedModel:
         """Return the same model on a device."""

@@ -36,10 +36,11 @@ from mgsr.pipeline.result_paths import CAMERAS, OBJECT
 from mgsr.pipeline.run_metadata import scene_line
 from mgsr.pipeline.scene_check import CheckedScene, check_scene, without_flawed
 from mgsr.pipeline.steps import Steps
-from mgsr.pipeline.time_budget import most_points, searches_object
+from mgsr.pipeline.time_budget import affordable_options, most_points, searches_object
 from mgsr.segmentation.object_masks import NoObject, find_object
 from mgsr.shading.lighting import Lighting, lit_scene
 from mgsr.start.points import StartingPoints
+from mgsr.start.scene_depths import DepthMaps, scene_depths
 from mgsr.start.starting_points import starting_points
 from mgsr.training.background import train_background
 from mgsr.training.exposure import find_exposures
@@ -154,10 +155,16 @@ def preprocess(
         require_place_for_masks(out)
     masks = _learn_masks(scene, config, step)
 
+    expert = affordable_options(config, budget)
+    depths: DepthMaps | None = None
+
     def points(of: Scene, during: str, text: str) -> StartingPoints:
+        nonlocal depths
         count, progress = most_points(config, budget), step.share(during, text)
         masked, background = with_masks(of, masks), config.train.background
-        return starting_points(masked, count, config.seed, progress, background, config.expert)
+        if not masked.masked and depths is None:  # those of another exposure are the same
+            depths = scene_depths(of.train, config.seed, progress, expert.start.stereo, expert.stereo)
+        return starting_points(masked, count, config.seed, progress, background, expert, depths)
 
     result_files.clear_findings(out)
     if not kept:

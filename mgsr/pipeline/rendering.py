@@ -82,7 +82,7 @@ def render_camera(
     images = _render_object(model, camera, depth, shading, name)
     if model.background is None:
         return images
-    behind = _numpy(render_surfels(model.background, camera, torch.tensor(WHITE, device=model.device)).color)
+    behind = _numpy(render_gaussians(model.background, camera, torch.tensor(WHITE, device=model.device)).color)
     return replace(images, whole=images.color + (1 - images.alpha[..., None]) * behind)
 
 

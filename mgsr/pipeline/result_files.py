@@ -146,14 +146,18 @@ def write_models(out: Path, model: TrainedModel, scene: Scene, output: OutputCon
         write_environment_map(path, _stored(model.environment_map, scene), origin_of_frame(scene.user_from_scene))
 
 
-def write_background(out: Path, model: SurfelModel, scene: Scene, output: OutputConfig) -> None:
-    """Write the surfels of what lies around a found object, as `write_models` writes the branches."""
+def write_background(out: Path, model: GaussianModel, scene: Scene, output: OutputConfig) -> None:
+    """Write the Gaussians of what lies around a found object, as `write_models` writes the branches."""
     _write_model(out / BACKGROUND, model, scene, output)
 
 
-def read_background(out: Path, user_from_scene: Similarity) -> SurfelModel | None:
-    """Read the surfels of what lies around a found object, in the scene's frame; None where the run left none."""
-    return SurfelModel(**_read_tensors(out / BACKGROUND, user_from_scene)) if (out / BACKGROUND).exists() else None
+def read_background(out: Path, user_from_scene: Similarity) -> GaussianModel | None:
+    """Read the Gaussians of what lies around a found object, in the scene's frame; None where the run left none."""
+    return _read_gaussians(out / BACKGROUND, user_from_scene) if (out / BACKGROUND).exists() else None
+
+
+def _read_gaussians(path: Path, user_from_scene: Similarity) -> GaussianModel:
+    return GaussianModel(**_read_tensors(path, user_from_scene), low_pass=read_number(path, LOW_PASS))
 
 
 def _write_model(to: Path, splats: SurfelModel | GaussianModel, scene: Scene, output: OutputConfig) -> None:
@@ -175,10 +179,7 @@ def read_models(out: Path, user_from_scene: Similarity) -> TrainedModel:
             f"{out}: the folder has neither {SURFELS} nor {GAUSSIANS}; run `mgsr train SCENE -o {out}` first"
         )
     surfels = SurfelModel(**_read_tensors(out / SURFELS, user_from_scene)) if (out / SURFELS).exists() else None
-    gaussians = None
-    if (out / GAUSSIANS).exists():
-        tensors = _read_tensors(out / GAUSSIANS, user_from_scene)
-        gaussians = GaussianModel(**tensors, low_pass=read_number(out / GAUSSIANS, LOW_PASS))
+    gaussians = _read_gaussians(out / GAUSSIANS, user_from_scene) if (out / GAUSSIANS).exists() else None
     environment_map = (
         _read_environment_map(out / ENVIRONMENT_MAP, user_from_scene) if (out / ENVIRONMENT_MAP).exists() else None
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mgsr.budget.budget import TimeBudget
 from mgsr.budget.costs import Facts, cameras_cost, load_cost, start_cost
-from mgsr.config import PRESETS, Config, Object
+from mgsr.config import PRESETS, Config, ExpertConfig, Object
 from mgsr.data.find_cameras import PHOTOGRAPHS
 from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene
@@ -83,6 +83,14 @@ def most_points(config: Config, budget: TimeBudget | None) -> int:
     return max(settings.train.surfels.max_start, settings.train.gaussians.max_start)
 
 
+def affordable_options(config: Config, budget: TimeBudget | None) -> ExpertConfig:
+    """Return the options of the algorithms, where stereo of everything in view searches what the budget affords."""
+    if budget is None:
+        return config.expert
+    start = config.expert.start
+    return replace(config.expert, start=replace(start, stereo=replace(start.stereo, max_pixels=budget.stereo_pixels)))
+
+
 def planned_config(
     scene: Scene, start: StartingPoints, budget: TimeBudget, config: Config, device: Device, clock: StepClock
 ) -> Config:
@@ -92,7 +100,8 @@ def planned_config(
     """
     facts = replace(facts_of(scene, config, start), searched="object" in clock.steps)
     budget.learn(
-        start_cost(facts), sum(clock.steps.get(name, 0.0) for name in ("start", "outlines", "object", "background"))
+        start_cost(facts, budget.stereo_pixels),
+        sum(clock.steps.get(name, 0.0) for name in ("start", "outlines", "object", "background")),
     )
     if budget.place is None:
         probed = probe(scene, start, config, device.torch)

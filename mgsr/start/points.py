@@ -15,7 +15,7 @@ class StartSource(StrEnum):
     """The source of the starting points.
 
     capture: the capture's own points. hull: the visual hull of the masks, or the surface found inside it. stereo:
-    plane-sweep stereo. ball: a random ball.
+    PatchMatch stereo. ball: a random ball.
     """
 
     CAPTURE = "capture"

@@ -17,8 +17,9 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.shading.light_estimate import LightKind
 from mgsr.start.background_points import background_points
 from mgsr.start.masked_surface import find_surface
-from mgsr.start.plane_sweep import sweep_planes
 from mgsr.start.points import StartingPoints, StartSource
+from mgsr.start.scene_depths import DepthMaps, scene_depths
+from mgsr.start.scene_points import scene_points
 from mgsr.start.view_colors import seen_colors
 
 
@@ -29,6 +30,7 @@ def starting_points(
     progress: Callable[[float], None] = lambda done: None,
     background: Background = Background.AUTO,
     expert: ExpertConfig = ExpertConfig(),
+    depths: DepthMaps | None = None,
 ) -> StartingPoints:
     """Choose the points to start from; the same seed gives the same points.
 
@@ -38,16 +40,20 @@ def starting_points(
     With masks, `count` points lie evenly on the surface that stereo, shading and photometric refinement find inside the
     visual hull. That surface is more accurate than the capture's own points (COLMAP).
 
-    Without masks, at most `count` points come from the capture and from plane-sweep stereo. At most a quarter of them
-    lies outside the ball, and none on a plain backdrop. Up to a quarter are background points, in directions without
-    other points. If stereo alone finds too few points, `count` random points fill the unit ball.
+    Without masks, the points come from the capture and from stereo, with background points in directions without other
+    points, and none on a plain backdrop. Their number follows from the photographs' resolution. If stereo alone finds
+    too few points, `count` random points fill the unit ball.
+
+    depths: the scene's `scene_depths`, which are found here if they are None.
     """
     generator = np.random.default_rng(seed)
     if scene.masked:
         outlines = silhouettes(scene.train, expert.start.mask_side)
         return _surface_points(scene, outlines, count, seed, generator, progress, expert)
     own = _own_points(scene.points, expert.start.max_distance) if scene.points is not None else None
-    return _unmasked_points(scene, own, count, seed, progress, background, expert.start)
+    if depths is None:
+        depths = scene_depths(scene.train, seed, progress, expert.start.stereo, expert.stereo)
+    return _unmasked_points(scene, own, depths, count, seed, background, expert.start)
 
 
 def ball_points(
@@ -83,13 +89,13 @@ def _own_points(points: PointCloud, max_distance: float) -> PointCloud:
 def _unmasked_points(
     scene: Scene,
     own: PointCloud | None,
+    depths: DepthMaps,
     count: int,
     seed: int,
-    progress: Callable[[float], None],
     background: Background,
     options: StartConfig,
 ) -> StartingPoints:
-    points, source = sweep_planes(scene.train, progress, options.sweep), StartSource.STEREO
+    points, source = scene_points(scene.train, depths, options.stereo), StartSource.STEREO
     if own is not None and len(own):
         points, source = own.joined(points), StartSource.CAPTURE
     last = scene.backdrop(background)
@@ -97,18 +103,9 @@ def _unmasked_points(
     if source is StartSource.STEREO and len(points) < options.min_points:
         return ball_points(scene.train, count, seed, options.colors)
     points = _without_isolated(points, options)
-    generator = np.random.default_rng(seed)
-    around = points.rows(np.zeros(0, np.intp))
     if not last.plain:
-        around = background_points(scene.train, points.positions, options.background)
-    most = round(options.background_share * count)
-    around = around.rows(np.sort(_some(np.arange(len(around)), most, generator)))
-    count -= len(around)
-    outside = np.linalg.norm(points.positions, axis=1) > options.ball
-    behind = _some(np.flatnonzero(outside), round(options.outside * count), generator)
-    before = _some(np.flatnonzero(~outside), count - len(behind), generator)
-    kept = points.rows(np.sort(np.concatenate([before, behind]))).joined(around)
-    return StartingPoints(kept.positions, kept.colors, source)
+        points = points.joined(background_points(scene.train, points.positions, options.background))
+    return StartingPoints(points.positions, points.colors, source)
 
 
 def _without_isolated(points: PointCloud, options: StartConfig) -> PointCloud:
@@ -119,11 +116,6 @@ def _without_isolated(points: PointCloud, options: StartConfig) -> PointCloud:
     spacing = cKDTree(points.positions).query(points.positions, k=4)[0][:, 1:].mean(axis=1)
     kept = ~inside | (spacing <= options.max_spacing * np.median(spacing[inside]))
     return points.rows(kept)
-
-
-def _some(index: np.ndarray, most: int, generator: np.random.Generator) -> np.ndarray:
-    """Draw at most `most` of the indices [N], without replacement."""
-    return generator.choice(index, most, replace=False) if len(index) > most else index
 
 
 def _surface_points(

@@ -21,6 +21,9 @@ from mgsr.native.structs import StereoPlanes, StereoSettings, StereoViews
 from mgsr.parallel import map_ahead
 from mgsr.stereo.photographs import StereoPhotographs
 
+# A plane at each pixel of a view: depth [h,w], camera z, 0 where unknown; unit normal [h,w,3] in the world frame.
+Planes = tuple[np.ndarray, np.ndarray]
+
 
 @dataclass(frozen=True)
 class DepthMap:
@@ -46,15 +49,42 @@ def match_views(
 
     start: the surface on which the search begins. progress: receives the share of the views that are done, 0..1.
     """
+
+    def seen(view: int) -> Planes:
+        hits = start.cast(photographs.cameras[view])
+        return hits.depth, hits.normal
+
+    ranges = [search_range(camera, options.half_depth) for camera in photographs.cameras]
+    return match_from(photographs, seen, ranges, seed, options, progress)
+
+
+def match_from(
+    photographs: StereoPhotographs,
+    start: Callable[[int], Planes],
+    ranges: Sequence[tuple[float, float]],
+    seed: int,
+    options: PatchMatchOptions = PatchMatchOptions(),
+    progress: Callable[[float], None] = lambda done: None,
+) -> list[DepthMap]:
+    """Find each view's depth map from the planes at which its search starts; otherwise as `match_views`.
+
+    start: returns the planes of a view, given its index. ranges: each view's least and largest camera z, in world
+    units.
+    """
     maps = []
-    for view in range(len(photographs.images)):
-        maps.append(_match(photographs, view, start, seed, options))
-        progress(len(maps) / len(photographs.images))
+    for view, between in enumerate(ranges):
+        maps.append(_match(photographs, view, start(view), between, seed, options))
+        progress(len(maps) / len(ranges))
     return maps
 
 
 def _match(
-    photographs: StereoPhotographs, view: int, start: RayCaster, seed: int, options: PatchMatchOptions
+    photographs: StereoPhotographs,
+    view: int,
+    start: Planes,
+    between: tuple[float, float],
+    seed: int,
+    options: PatchMatchOptions,
 ) -> DepthMap:
     camera = photographs.cameras[view]
     size = camera.height, camera.width
@@ -62,13 +92,12 @@ def _match(
     neighbours = photographs.neighbours(view, options.neighbours, options.best_angle, options.max_angle)
     if len(neighbours) < 2:
         return DepthMap(depth, normal, np.full_like(depth, -1))
-    seen = start.cast(camera)
     turn = camera.cam_from_world[:3, :3]
     _stereo.search(
-        views=stereo_views(photographs, view, neighbours, options.half_depth),
+        views=stereo_views(photographs, view, neighbours, between),
         start=StereoPlanes(
-            depth=np.ascontiguousarray(seen.depth, np.float32),
-            normal=np.ascontiguousarray(seen.normal @ turn.T, np.float32),
+            depth=np.ascontiguousarray(start[0], np.float32),
+            normal=np.ascontiguousarray(start[1] @ turn.T, np.float32),
         ),
         settings=stereo_settings(options.settings),
         seed=(seed * 1_000_003 + view) % 2**32,
@@ -84,15 +113,18 @@ def stereo_settings(settings: MatchSettings) -> StereoSettings:
 
 
 def stereo_views(
-    photographs: StereoPhotographs, view: int, neighbours: Sequence[int], half_depth: float
+    photographs: StereoPhotographs, view: int, neighbours: Sequence[int], between: tuple[float, float]
 ) -> StereoViews:
-    """Return a photograph and its neighbours as the kernels take them; half_depth: as for `search_range`."""
+    """Return a photograph and its neighbours as the kernels take them.
+
+    between: the least and the largest camera z of the search, in world units.
+    """
     return StereoViews(
         images=photographs.images,
         cameras=photographs.packed_cameras,
         view=view,
         neighbours=neighbours,
-        range=search_range(photographs.cameras[view], half_depth),
+        range=between,
     )
 
 

@@ -8,7 +8,7 @@ from mgsr.config.expert import PatchMatchOptions
 from mgsr.geometry.raycast import RayCaster
 from mgsr.native import _stereo
 from mgsr.native.structs import StereoPlanes
-from mgsr.stereo.patch_match import stereo_settings, stereo_views
+from mgsr.stereo.patch_match import search_range, stereo_settings, stereo_views
 from mgsr.stereo.photographs import StereoPhotographs
 
 
@@ -30,7 +30,7 @@ def photo_consistency(
             depth=np.ascontiguousarray(seen.depth, np.float32),
             normal=np.ascontiguousarray(seen.normal @ camera.cam_from_world[:3, :3].T, np.float32),
         )
-        views = stereo_views(photographs, view, neighbours, options.half_depth)
+        views = stereo_views(photographs, view, neighbours, search_range(camera, options.half_depth))
         _stereo.judge(views, planes, stereo_settings(options.settings), score)
         shown = photographs.images[view][..., 3] > 0.5
         total, count = total + float(score[shown].sum(dtype=np.float64)), count + int(shown.sum())

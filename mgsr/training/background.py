@@ -1,7 +1,4 @@
-"""Surfels of what lies around a found object, so that its renders can be shown in the whole photograph.
-
-Surfels serve because a room is mostly planes: after the same time they show new views of it better than Gaussians do.
-"""
+"""Gaussians of what lies around a found object, so that its renders can be shown in the whole photograph."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ from scipy import ndimage
 
 from mgsr.config import Config, make_config
 from mgsr.data.scene import Scene, View
-from mgsr.gaussians.surfels import SurfelModel
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.start.points import StartingPoints
 from mgsr.training.run import Training
 
@@ -25,12 +22,12 @@ def train_background(
     config: Config,
     should_stop: Callable[[], bool] = lambda: False,
     progress: Callable[[float], None] = lambda done: None,
-) -> SurfelModel:
-    """Train a 2D branch on what the photographs show outside the object's masks.
+) -> GaussianModel:
+    """Train a 3D branch on what the photographs show outside the object's masks.
 
     scene: the whole scene, without masks. masks [H,W] uint8: the object's in the training views. start: points of the
-    whole scene; those on the object are left out. config: of the run, whose warm-up gives the iterations. progress:
-    receives the share of the work that is done, 0..1. The surfels lie in the scene's frame.
+    whole scene; those on the object are left out. config: of the run; this training is as long as the 2D branch's
+    warm-up. progress: receives the share of the work that is done, 0..1. The Gaussians lie in the scene's frame.
 
     Raises Cancelled once should_stop returns True, and TrainingError if training fails.
     """
@@ -38,12 +35,13 @@ def train_background(
     views = [_without_object(view, mask, options.beside) for view, mask in zip(scene.train, masks, strict=True)]
     outside = ~_on_object(start.positions, scene.train, masks, options.inside)
     start = StartingPoints(start.positions[outside], start.colors[outside], start.source)
-    stages = [f"warmup.surfel_iterations={config.train.warmup.surfel_iterations}", "mutual.iterations=0"]
-    settings = make_config(seed=config.seed, overrides=["branches=surfels", "flash=off", "stop_rule=none", *stages])
+    stages = [f"warmup.gaussian_iterations={config.train.warmup.surfel_iterations}", "mutual.iterations=0"]
+    plain = ["branches=gaussians", "reflection=off", "flash=off", "stop_rule=none"]
+    settings = make_config(config.preset, seed=config.seed, overrides=[*plain, *stages])
     training = Training(
         replace(scene, train=views, test=[]), start, settings, lambda report: progress(report.done), should_stop
     )
-    model = training.run().model.surfels
+    model = training.run().model.gaussians
     assert model is not None
     return model
 

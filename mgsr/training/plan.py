@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import torch
 
-from mgsr.config import Branches, Config, DensifyConfig, Growth, Reflection, StopRule, gaussian_settings
+from mgsr.config import Branches, Config, DensifyConfig, Growth, Reflection, StopRule, starting_settings
 from mgsr.data.backdrop import Backdrop, Color
 from mgsr.data.scene import Scene
 from mgsr.densify.clearance import Clearance
@@ -112,7 +112,8 @@ def make_plan(
     photographs = _photographs(scene, behind.color, config, device)
     reflection, tried = _first_reflection(config, start.shiny, len(scene.train))
     train_state = make_train_state(scene, start, config, reflection, tried, device)
-    gaussians, growth = gaussian_settings(config.train.gaussians, scene.masked), None
+    _, gaussians = starting_settings(config.train, scene.masked, len(start.positions))
+    growth = None
     if train_state.gaussians is not None and gaussians.densify.by is Growth.ERROR:
         options = config.expert.densify.error_growth
         growth = ErrorGrowth(train_state.gaussians, train_state, gaussians, behind.color, options)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from mgsr.config import Branches, Config, Reflection, gaussian_settings
+from mgsr.config import Branches, Config, Reflection, starting_settings
 from mgsr.data.scene import Scene
 from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.gaussians.start import start_gaussians, start_surfels
@@ -70,17 +70,17 @@ def make_train_state(
     """
     train, extent = config.train, camera_extent(scene)
     points = (start.positions, start.normals, start.colors)
+    flat, full = starting_settings(train, scene.masked, len(start.positions))
     surfels, gaussians, environment_map = None, None, None
     if train.branches is not Branches.GAUSSIANS:
         generator = seeded(config, 1)
-        model = start_surfels(*points, train.surfels, generator).to(device)
-        surfels = Branch("surfels", model, train.surfels.rates, train.surfels.densify, extent, generator)
+        model = start_surfels(*points, flat, generator).to(device)
+        surfels = Branch("surfels", model, flat.rates, flat.densify, extent, generator)
     if train.branches is not Branches.SURFELS:
         generator = seeded(config, 2)
         split = reflection in (Reflection.OWN, Reflection.BOTH)
-        full = start_gaussians(*points, train.gaussians, generator, split).to(device)
-        settings = gaussian_settings(train.gaussians, scene.masked)
-        gaussians = Branch("gaussians", full, settings.rates, settings.densify, extent, generator)
+        initial = start_gaussians(*points, full, generator, split).to(device)
+        gaussians = Branch("gaussians", initial, full.rates, full.densify, extent, generator)
     used = reflection in (Reflection.SHARED, Reflection.BOTH)
     if train.branches is Branches.BOTH and (used or tried):
         maps = EnvironmentMap.uniform(train.environment_map.side, train.environment_map.start).to(device)

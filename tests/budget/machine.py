@@ -11,7 +11,7 @@ import numpy as np
 from mgsr.budget import costs
 from mgsr.budget.budget import TimeBudget
 from mgsr.budget.costs import Facts
-from mgsr.config import Config, MeshConfig
+from mgsr.config import Config, MeshConfig, starting_settings
 from mgsr.training.stage_scheduler import FINISH
 
 Speed = Callable[[float], float]  # how many times slower than the reference machine, at a time
@@ -90,7 +90,8 @@ def run_on(machine: Machine, facts: Facts, config: Config, seconds: float) -> Ra
     budget.learn(costs.load_cost(facts), machine.work("load", costs.load_cost(facts)))
     scale = budget.choose_scale(facts)
     facts = replace(facts, pixels=facts.pixels * scale**2)
-    budget.learn(costs.start_cost(facts), machine.work("start", costs.start_cost(facts)))
+    start = costs.start_cost(facts, budget.stereo_pixels)
+    budget.learn(start, machine.work("start", start))
     splats = {"surfels": config.train.surfels.max_start, "gaussians": config.train.gaussians.max_start}
     names = ("warmup_surfels", "warmup_gaussians", "mutual")
     once = {name: machine.work(name, costs.iteration_cost(name, facts, splats)) for name in names}
@@ -99,7 +100,7 @@ def run_on(machine: Machine, facts: Facts, config: Config, seconds: float) -> Ra
     lengths = (train.warmup.surfel_iterations, train.warmup.gaussian_iterations, train.mutual.iterations)
     stages = [*(Stage(*pair) for pair in zip(names, lengths, strict=True)), Stage(FINISH, 0)]
     full = {
-        "surfels": train.surfels.densify.max_count,
+        "surfels": starting_settings(train, facts.masked, costs.usual_points(facts, config))[0].densify.max_count,
         "gaussians": costs.usual_count(train.gaussians.max_start, facts),
     }
     for index in range(3):

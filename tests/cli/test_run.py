@@ -109,7 +109,7 @@ def test_the_report_has_its_fields(done: Path) -> None:
     assert (report["device"], report["seed"]) == ("cpu", 0)
     assert report["iterations"]["mutual"] == {"iterations": 60, "stopped": "iterations", "dropped": 0}
     assert set(report["gaussians"]) == {"surfels", "gaussians"}
-    assert report["settings"]["expert"] == asdict(make_config(overrides=["gloss.height=8"]).expert)
+    assert report["settings"]["expert"] == asdict(make_config("draft", overrides=["gloss.height=8"]).expert)
     assert report["psnr_test"] > 20 and 0 < report["ssim_test"] < 1
     assert {"seconds", "stage", "iteration", "psnr", "surfels", "gaussians"} <= set(report["curve"][0])
     faces = trimesh.load_mesh(done / "mesh.ply", process=False).faces

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from mgsr.config import GaussianDensifyConfig, Growth, gaussian_settings, make_config
+from mgsr.config import GaussianDensifyConfig, Growth, make_config, starting_settings
 from mgsr.config.expert import ErrorGrowthOptions
 from mgsr.data.camera import Camera
 from mgsr.densify.contribution import contributions
@@ -185,16 +185,27 @@ def test_new_gaussians_fit_the_model_that_they_join(split: bool) -> None:
     torch.testing.assert_close(new["sh"][:, 0] * 0.28209479 + 0.5, colors)
 
 
-def test_without_masks_the_gradient_tells_with_its_rates_and_a_cap() -> None:
-    masked, unmasked = gaussian_settings(CONFIG, True), gaussian_settings(CONFIG, False)
-    assert masked.densify == CONFIG.densify
+def test_without_masks_the_gradient_tells_with_its_rates_and_a_limit() -> None:
+    train = make_config().train
+    masked, unmasked = (starting_settings(train, masked, 50_000)[1] for masked in (True, False))
+    assert (masked.densify, masked.max_start) == (CONFIG.densify, 10_000)
     assert (masked.rates.scale, masked.rates.beta2) == (0.02, 0.99)
-    assert unmasked.rates == CONFIG.rates
-    assert (unmasked.densify.by, unmasked.densify.max_count) == (Growth.GRADIENT, 20_000)
-    asked = make_config(
-        overrides=["gaussians.densify.by=gradient", "gaussians.densify.max_count=70000"]
-    ).train.gaussians
-    assert gaussian_settings(asked, True) == gaussian_settings(asked, False) == asked
+    assert unmasked.rates == CONFIG.rates and unmasked.max_start == 100_000
+    assert (unmasked.densify.by, unmasked.densify.max_count) == (Growth.GRADIENT, 75_000)
+    many = starting_settings(train, False, 10**6)[1]
+    assert (many.max_start, many.densify.max_count) == (100_000, 150_000)
+
+
+def test_the_gradient_adds_a_share_of_the_starting_points_up_to_the_largest_count() -> None:
+    for points, most in ((600, 20_000), (32_000, 40_000), (10**6, 50_000)):
+        assert starting_settings(make_config().train, False, points)[0].densify.max_count == most
+    assert starting_settings(make_config().train, True, 10**6)[0].densify.max_count == 20_000
+    asked = ["gaussians.densify.by=gradient", "gaussians.densify.max_growth=none", "gaussians.densify.max_count=70000"]
+    for masked in (True, False):
+        free = starting_settings(make_config(overrides=asked).train, masked, 60_000)[1]
+        assert free.densify.max_count == 70_000
+    held = make_config(overrides=["surfels.densify.max_count=12000"]).train
+    assert starting_settings(held, True, 16_000)[0].densify.max_count == 12_000
 
 
 def test_bad_settings_are_refused() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,25 +12,26 @@ from mgsr.config import DataConfig, ExpertConfig, Masks, make_config
 from mgsr.config.expert import (
     BackgroundPointOptions,
     DepthFillingOptions,
-    PlaneSweepOptions,
     PointExposureOptions,
+    SceneStereoOptions,
     ViewColorOptions,
 )
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.start.background_points import background_points
 from mgsr.start.depth_filling import fill_depth
-from mgsr.start.plane_sweep import sweep_planes
 from mgsr.start.point_exposures import point_exposures
 from mgsr.start.points import StartSource
+from mgsr.start.scene_depths import scene_depths
+from mgsr.start.scene_points import scene_points
 from mgsr.start.starting_points import starting_points
 from mgsr.start.view_colors import seen_colors
 from tests.data.captures import BallCapture
 from tests.mesh.shapes import cameras_around
 from tests.start.test_background_points import BALL, room
 from tests.start.test_depth_filling import on_lines, plane
-from tests.start.test_plane_sweep import unmasked
 from tests.start.test_point_exposures import POINTS, exposed_ball
+from tests.start.test_scene_points import unmasked
 from tests.stereo.pressed_ball import photographs
 
 
@@ -60,11 +62,17 @@ def test_too_few_points_of_stereo_make_a_ball(tmp_path: Path) -> None:
         assert starting_points(scene, 200, seed=0, expert=expert(f"expert.start.min_points={least}")).source is source
 
 
-def test_plane_sweep() -> None:
+def test_points_of_everything_in_view() -> None:
     views = unmasked(photographs(True, 0.0, cameras_around(30, side=64)[:14]))
-    usual = len(sweep_planes(views))
-    assert usual > 100 and not len(sweep_planes(views, options=PlaneSweepOptions(agreement=1.0)))
-    assert len(sweep_planes(views, options=PlaneSweepOptions(spacing=0.2, spacing_filled=0.2))) < 0.5 * usual
+    usual = SceneStereoOptions()
+    depths = scene_depths(views, seed=0, options=usual)
+    count = len(scene_points(views, depths, usual))
+    assert (
+        count > 100 and len(scene_points(views, depths, replace(usual, spacing=6.0, spacing_filled=0.2))) < 0.5 * count
+    )
+    assert not len(scene_points(views, depths, replace(usual, min_in_cell=999, min_confirming_filled=999)))
+    near = scene_depths(views, seed=0, options=replace(usual, farthest=0.2))
+    assert not any((known > 0).any() for known in near.confidence)
 
 
 def test_background_points() -> None:

@@ -86,7 +86,7 @@ def test_the_surfels_and_scenes_without_masks_go_by_the_gradient() -> None:
     assert masked.train_state.gaussians.settings.beta2 == 0.99
     assert unmasked.train_state.gaussians.settings.beta2 == 0.999
     assert masked.train_state.gaussians.densify.max_count == 1_000_000
-    assert unmasked.train_state.gaussians.densify.max_count == 8_000
+    assert unmasked.train_state.gaussians.densify.max_count == round(1.5 * config().train.gaussians.max_start)
 
 
 def test_a_finer_tolerance_ends_with_more_gaussians_and_a_smaller_loss() -> None:

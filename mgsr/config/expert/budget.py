@@ -18,6 +18,7 @@ class BudgetOptions(Options):
     aim: Annotated[float, Range(0, 1, open=True)] = 0.96  # planned share of the budget; a run may take 0.9 to 1.05
     reserve: NotNegative = 0.5  # for a slower surface, as a share of its time; the last stage gets what is left of it
     start_reserve: Annotated[float, Range(1)] = 1.25  # times the starting points' usual time, which nothing can cut
+    stereo_share: Share = 0.12  # of the budget, for stereo of everything in view without masks
     min_refined: Share = 0.3  # of the refinement's time, with less of which the refinement is not planned
     min_pixels: Count = 9216  # least size of a reduced photograph
     below_draft: Annotated[float, Range(0, 2)] = 0.75  # places below draft, beyond which too little is trained

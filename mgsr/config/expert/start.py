@@ -49,38 +49,31 @@ class DepthFillingOptions(Options):
 
 
 @dataclass(frozen=True)
-class PlaneSweepOptions(Options):
-    """Plane-sweep stereo of scenes without masks. Source: Collins 1996."""
+class SceneStereoOptions(Options):
+    """PatchMatch stereo of everything in view, for scenes without masks, and the points on it.
 
-    side: Annotated[int, Range(16)] = 128  # pixels; longer side of the reduced images, enough for starting points
-    planes: Annotated[int, Range(4)] = 64  # through the ball, spaced evenly in inverse depth
-    planes_behind: Count = 32  # from there to infinity
-    reach: Positive = 1.1  # ball radii; extent of the ball's planes on both sides of the centre
-    max_distance: Positive = 40.0  # ball radii from the centre; farther points are too uncertain
-    neighbours: Annotated[int, Range(2)] = 4  # views to compare
-    best_angle: Angle = 15.0  # degrees to the best neighbour, as seen from the scene's centre
-    max_angle: Angle = 45.0  # degrees; views at a larger angle are no neighbours
-    half_window: WholeNumber = 2  # pixels of a window on each side of its middle
-    noise: Positive = 0.01  # grey 0..1; standard deviation of image noise; lowers the correlation of windows with less
-    # contrast
-    similar: Positive = 0.06  # sRGB 0..1; width of similar colours
-    own_contrast: NotNegative = 0.012  # sRGB 0..1; least contrast among similar colours
-    agreement: Share = 0.6  # least correlation of an accepted depth
-    lead: NotNegative = 0.03  # least lead in correlation over all planes farther away than beside
-    beside: Count = 4  # planes
-    confirmed: WholeNumber = 2  # least number of other views with the same depth
-    confirmed_filled: WholeNumber = 3  # the same number for filled depths, which depend on each other
-    tolerance: Positive = 0.02  # relative difference of depths that count as the same
-    spacing: Positive = 0.02  # ball radii, contracted outside the ball; cell size for thinning points
-    spacing_filled: Positive = 0.06  # the same for filled depths; flat regions without contrast need few splats
-    crowd: Count = 20  # nearest neighbours whose mean distance tells outliers
-    lonely: NotNegative = 1.5  # deviations of that distance above which a point is an outlier
+    All other options of the search and of the consistency are those of `expert.stereo`.
+    """
+
+    max_pixels: Count = 2_200_000  # of all photographs together; larger photographs are reduced
+    coarser: Annotated[float, Range(0, 1, open=True)] = 0.5  # of the sides of these, where the search begins
+    nearest: Positive = 0.15  # ball radii; least camera z of the search
+    farthest: Positive = 40.0  # ball radii; largest camera z of the search; must exceed nearest
+    noise: Positive = 0.003  # sRGB 0..1; of expert.stereo.match.settings, lower because walls have little contrast
+    rounds: WholeNumber = 4  # of the search; of expert.stereo.match.settings
+    max_angle: Angle = 75.0  # degrees; views at a larger angle are no neighbours and confirm nothing
+    confirming_views: Count = 16  # nearest views that may confirm a depth
+    spacing: Positive = 1.5  # pixels, contracted outside the ball; cell size for thinning points
+    min_in_cell: Count = 3  # least number of pixels with a depth in a cell; most wrong depths lie alone
+    spacing_filled: Positive = 0.06  # ball radii, contracted outside the ball; the same for filled depths, as flat
+    # regions without contrast need few splats
+    same_filled: Positive = 0.02  # relative difference of filled depths that count as the same
+    min_confirming_filled: WholeNumber = 3  # least number of other views that confirm a filled depth
     filling: DepthFillingOptions = field(default_factory=DepthFillingOptions)
 
-    @property
-    def window(self) -> int:
-        """Return the window's side in pixels."""
-        return 2 * self.half_window + 1
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.require_order("nearest", "farthest")
 
 
 @dataclass(frozen=True)
@@ -144,13 +137,11 @@ class StartConfig(Options):
     mask_side: Annotated[int, Range(16)] = 400  # pixels; longer side of the reduced masks: two pixels or more a voxel
     min_points: Count = 500  # of stereo, under which the start is a random ball
     ball: Positive = 1.25  # ball radii; outside of this ball no mesh is extracted
-    outside: Share = 0.25  # largest share of an unmasked capture's points outside of that ball
-    background_share: Share = 0.25  # largest share of all points that are background points
     max_spacing: Positive = 8.0  # times the median distance of three neighbours in the ball; points with a larger one
     # are wrong
     max_distance: Positive = 50.0  # ball radii; points with a larger coordinate are wrong
     surface: FirstSurfaceOptions = field(default_factory=FirstSurfaceOptions)
-    sweep: PlaneSweepOptions = field(default_factory=PlaneSweepOptions)
+    stereo: SceneStereoOptions = field(default_factory=SceneStereoOptions)
     background: BackgroundPointOptions = field(default_factory=BackgroundPointOptions)
     colors: ViewColorOptions = field(default_factory=ViewColorOptions)
     exposures: PointExposureOptions = field(default_factory=PointExposureOptions)

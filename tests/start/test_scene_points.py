@@ -1,4 +1,4 @@
-"""Stereo, on a painted ball whose masks are left out."""
+"""Stereo of everything in view, on a painted ball whose masks are left out."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import pytest
 
 from mgsr.data.scene import PointCloud, View
 from mgsr.geometry.raycast import pixel_rays
-from mgsr.start.plane_sweep import sweep_planes
+from mgsr.start.scene_depths import scene_depths
+from mgsr.start.scene_points import scene_points
 from tests.mesh.shapes import cameras_around
 from tests.stereo.pressed_ball import CAP, photographs, with_noise
 
@@ -27,6 +28,11 @@ def heights(positions: np.ndarray) -> np.ndarray:
     return outside
 
 
+def found_points(views: list[View]) -> PointCloud:
+    """Find points on everything in view."""
+    return scene_points(views, scene_depths(views, seed=0))
+
+
 @pytest.fixture(scope="module")
 def matte() -> list[View]:
     return unmasked(photographs(True, 0.0, CAMERAS))
@@ -39,7 +45,7 @@ def fewer() -> list[View]:
 
 @pytest.fixture(scope="module")
 def found(fewer: list[View]) -> PointCloud:
-    return sweep_planes(fewer)
+    return found_points(fewer)
 
 
 def test_points_lie_on_the_ball_and_all_around_it(found: PointCloud) -> None:
@@ -65,7 +71,7 @@ def test_colors_are_the_photographs(found: PointCloud, fewer: list[View]) -> Non
 @pytest.mark.slow
 def test_a_background_has_its_place_behind_the_ball(matte: list[View]) -> None:
     wall = 6.0
-    found = sweep_planes([in_front_of_a_wall(view, wall) for view in matte]).positions
+    found = found_points([in_front_of_a_wall(view, wall) for view in matte]).positions
     away = np.linalg.norm(found, axis=1)
     near, far = away < 1.1, away > 3
     assert near.sum() > 5000 and far.sum() > 1000
@@ -90,7 +96,7 @@ def in_front_of_a_wall(view: View, radius: float) -> View:
 @pytest.mark.slow
 def test_a_place_without_contrast_continues_what_lies_around_it(matte: list[View]) -> None:
     towards, wide = np.array([0.0, 1.0, 0.0]), np.radians(16)
-    found = sweep_planes([with_a_plain_place(view, towards, np.cos(wide)) for view in matte]).positions
+    found = found_points([with_a_plain_place(view, towards, np.cos(wide)) for view in matte]).positions
     directions = found / np.linalg.norm(found, axis=1, keepdims=True)
     inside = directions @ towards > np.cos(0.7 * wide)
     assert inside.sum() > 20 and np.percentile(np.abs(heights(found[inside])), 90) < 0.06
@@ -116,18 +122,18 @@ def test_what_has_no_contrast_shows_nothing() -> None:
     views = [
         replace(view, image=np.full_like(view.image, 90)) for view in unmasked(photographs(True, 0.0, CAMERAS[::6]))
     ]
-    assert len(sweep_planes(views).positions) == 0
+    assert len(found_points(views).positions) == 0
 
 
 def test_cameras_that_share_nothing_show_nothing(fewer: list[View]) -> None:
-    assert len(sweep_planes(fewer[:1]).positions) == 0
+    assert len(found_points(fewer[:1]).positions) == 0
 
 
 @pytest.mark.slow
 def test_noise_at_unknown_pixels_changes_nothing(matte: list[View]) -> None:
     """Check that points come from known pixels, and are to the byte the same whatever stands at others."""
     near = sorted(matte, key=lambda view: np.linalg.norm(view.camera.center - matte[0].camera.center))[:12]
-    first, second = (sweep_planes([with_noise(view, seed) for view in near]) for seed in (1, 2))
+    first, second = (found_points([with_noise(view, seed) for view in near]) for seed in (1, 2))
     assert len(first.positions) > 200
     np.testing.assert_array_equal(first.positions, second.positions)
     np.testing.assert_array_equal(first.colors, second.colors)

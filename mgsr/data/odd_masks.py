@@ -50,13 +50,14 @@ def left_out_shares(
     votes = left_out.sum(axis=0)
     objects = votes <= max(votes.min(), 1, options.dissent * len(views))
     shares = left_out[:, objects].mean(axis=1)
-    much = np.flatnonzero(shares > least)
-    if len(much):
+    much = np.flatnonzero(shares > least).tolist()
+    if much:
         # A part that is thinner than the spacing may have no point inside.
         wider = _left_out(points[objects], [outlines[index] for index in much], spacing / 2)
         cells = [_cells(view, points[objects], spacing) for view in views]
-        needed = [_needed(wide, cells[:index] + cells[index + 1 :]) for index, wide in zip(much, wider, strict=True)]
-        shares[much[np.array(needed) < options.needed]] = 0
+        for index, wide in zip(much, wider, strict=True):
+            if _needed(wide, cells[:index] + cells[index + 1 :]) < options.needed:
+                shares[index] = 0
     return np.asarray(shares)
 
 

@@ -73,12 +73,12 @@ def light_of_halves(
     halves = np.full((len(features), 2), np.nan)
     if not pairs:
         return halves
-    photo, places, light = np.concatenate(photos), np.concatenate(pixels), np.concatenate(differences)
+    of_photo, at, light = np.concatenate(photos), np.concatenate(pixels), np.concatenate(differences)
     known = np.isfinite(light)
     for index in range(len(features)):
-        mine = known & (photo == index)
+        mine = known & (of_photo == index)
         if mine.sum() >= options.photos.shared_places:
-            upper = _upper_half(places[mine])
+            upper = _upper_half(at[mine])
             halves[index] = np.median(light[mine][upper]), np.median(light[mine][~upper])
     return halves
 

@@ -113,7 +113,7 @@ def test_what_a_run_writes_can_be_given_back(done: Path, capture: Path, tmp_path
     scene = load_scene(given)
     assert scene.masked and scene.ground is not None
     for view in scene.train + scene.test:
-        assert np.array_equal(view.alpha, np.array(Image.open(done / "masks" / f"{view.name}.png")))
+        np.testing.assert_array_equal(view.alpha, np.array(Image.open(done / "masks" / f"{view.name}.png")))
 
 
 @pytest.mark.parametrize("setting", [None, "object_box=-0.4,-0.3,-0.2,0.4,0.5,0.6"])

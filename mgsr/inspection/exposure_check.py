@@ -87,7 +87,9 @@ def _upper_half(places: np.ndarray) -> np.ndarray:
     """Return which of the places [N,2] lie in the upper half along the direction of their largest spread, [N] bool."""
     apart = places - np.median(places, axis=0)
     along = apart @ np.linalg.svd(apart, full_matrices=False)[2][0]
-    return np.asarray(along > np.median(along))
+    upper = np.zeros(len(along), bool)
+    upper[np.argsort(along, kind="stable")[len(along) // 2 :]] = True
+    return upper
 
 
 def _common_spread(halves: np.ndarray, least: float) -> float:

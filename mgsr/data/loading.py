@@ -18,7 +18,7 @@ from mgsr.data.masks import fitted_mask
 from mgsr.data.pixels import PixelStore
 from mgsr.data.scene import View
 from mgsr.data.stacking import averaged, stack, unstack
-from mgsr.data.undistortion import Undistorter, resample
+from mgsr.data.undistortion import Undistorter, Undistortion, resample
 from mgsr.errors import SceneError
 from mgsr.parallel import core_count
 
@@ -101,10 +101,11 @@ def _load(photo: Photo, name: str, tools: _Tools) -> LoadedView:
     masks = [read_mask(path, photo.source) if path and used else None for path in (photo.mask, photo.ignored)]
     picture, masks = _turned(picture, masks, photo)
     height, width = picture.colors.shape[:2]
-    masks = [None if mask is None else fitted_mask(mask, width, height, photo) for mask in masks]
     view = View(name, _camera(photo, width, height), picture.colors, picture.alpha)
     if max(width, height) > tools.config.max_side or photo.lens is not None:
         view, masks = _resampled(view, masks, photo, tools)
+    else:
+        masks = [None if mask is None else fitted_mask(mask, width, height, photo) for mask in masks]
     hold = tools.pixels.hold
     alpha, mask, ignored = (None if image is None else hold(image) for image in (view.alpha, *masks))
     return LoadedView(replace(view, image=hold(view.image), alpha=alpha), mask, ignored)
@@ -166,22 +167,37 @@ def _resampled(
 ) -> tuple[View, list[np.ndarray | None]]:
     """Undistort the view and its masks [H,W], and reduce them to at most `max_side` pixels a side.
 
-    Colours are meaningless where alpha is zero, so alpha weights them.
+    Masks that a run has written are of its undistorted photographs, and stay as they are. Colours are meaningless where
+    alpha is zero, so alpha weights them.
     """
     premultiply = view.alpha is not None
-    layers = [stack(view, premultiply), *[mask[..., None] for mask in masks if mask is not None]]
-    camera, valid = view.camera, None
-    shrink = tools.config.max_side / max(camera.width, camera.height)
+    width, height = view.camera.width, view.camera.height
+    camera, valid, how = view.camera, None, None
+    shrink = tools.config.max_side / max(width, height)
     if shrink < 1:
         camera = camera.scaled(shrink)
-        layers = [reduce_area(layer, camera.width, camera.height) for layer in layers]
     if photo.lens is not None:
         how = tools.undistort(photo.lens, camera.K, camera.width, camera.height, photo.source)
+    bent = [mask is not None and not _is_undistorted(mask, how, (height, width)) for mask in masks]
+    fitted = [
+        fitted_mask(mask, width, height, photo)[..., None]
+        for mask, is_bent in zip(masks, bent, strict=True)
+        if mask is not None and is_bent
+    ]
+    layers = [stack(view, premultiply), *fitted]
+    if shrink < 1:
+        layers = [reduce_area(layer, camera.width, camera.height) for layer in layers]
+    if how is not None:
         layers, valid = [resample(layer, how) for layer in layers], how.valid_mask
         camera = replace(camera, K=how.K, width=layers[0].shape[1], height=layers[0].shape[0])
     rest = iter(to_uint8(layer[..., 0]) for layer in layers[1:])
     resampled = replace(unstack(view.name, camera, layers[0], premultiply), valid_mask=valid)
-    return resampled, [None if mask is None else next(rest) for mask in masks]
+    return resampled, [next(rest) if is_bent else mask for mask, is_bent in zip(masks, bent, strict=True)]
+
+
+def _is_undistorted(mask: np.ndarray, how: Undistortion | None, size: tuple[int, int]) -> bool:
+    """Return whether a mask [H,W] has the size of the undistorted photograph and not that of the photograph itself."""
+    return how is not None and mask.shape == how.map_x.shape and mask.shape != size
 
 
 def reduced_view(view: View, scale: float) -> View:

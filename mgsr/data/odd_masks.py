@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import compress
 
 import numpy as np
+from scipy import ndimage
 
 from mgsr.config.expert import OddMaskOptions
 from mgsr.data.hull import view_field
@@ -26,7 +27,7 @@ def agreeing_masks(
     agreeing = np.ones(len(views), dtype=bool)
     if len(outlines) < options.min_views:
         return agreeing, ()
-    odd = left_out_shares(views, outlines, options) > options.left_out
+    odd = left_out_shares(views, outlines, options.left_out, options) > options.left_out
     if not 0 < odd.sum() <= options.max_odd * len(views):
         return agreeing, ()
     names = ", ".join(repr(view.name) for view in compress(views, odd))
@@ -35,25 +36,63 @@ def agreeing_masks(
 
 
 def left_out_shares(
-    views: Sequence[View], outlines: Sequence[Silhouette], options: OddMaskOptions = OddMaskOptions()
+    views: Sequence[View], outlines: Sequence[Silhouette], least: float, options: OddMaskOptions = OddMaskOptions()
 ) -> np.ndarray:
     """Return the share of the object, as nearly all masks have it, that each view's mask leaves out, [V].
 
+    A view that looks along a thin part, such as a plate, is the only one that shows how thin it is. Its mask leaves out
+    much, but the other masks are as full without that. A share above `least` counts as 0 if the others need none of it.
+
     views: with masks that are not empty; outlines: their silhouettes.
     """
-    left_out = _left_out(views, outlines, options.places)
+    points, spacing = _grid(views, options.places)
+    left_out = _left_out(points, outlines)
     votes = left_out.sum(axis=0)
     objects = votes <= max(votes.min(), 1, options.dissent * len(views))
-    return np.asarray(left_out[:, objects].mean(axis=1))
+    shares = left_out[:, objects].mean(axis=1)
+    much = np.flatnonzero(shares > least).tolist()
+    if much:
+        # A part that is thinner than the spacing may have no point inside.
+        wider = _left_out(points[objects], [outlines[index] for index in much], spacing / 2)
+        cells = [_cells(view, points[objects], spacing) for view in views]
+        for index, wide in zip(much, wider, strict=True):
+            if _needed(wide, cells[:index] + cells[index + 1 :]) < options.needed:
+                shares[index] = 0
+    return np.asarray(shares)
 
 
-def _left_out(views: Sequence[View], outlines: Sequence[Silhouette], side: int) -> np.ndarray:
-    """Return which points of a grid around the object each view has outside its mask, [V,P] bool.
-
-    side: the points along each side of the grid.
-    """
+def _grid(views: Sequence[View], side: int) -> tuple[np.ndarray, float]:
+    """Return points [P,3] of a grid around the object, and their spacing. side: the points along each side."""
     center, radii = ball_of_masks(views)
     axis = np.linspace(-1, 1, side) * np.median(radii)
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) + center
+    return points, float(axis[1] - axis[0])
+
+
+def _left_out(points: np.ndarray, outlines: Sequence[Silhouette], far: float = 0.0) -> np.ndarray:
+    """Return which points [P,3] each view has farther than `far` outside its mask, [V,P] bool."""
     fields = map_ahead(lambda outline: view_field(outline, points), outlines, None)
-    return np.array([tells & (distance < 0) for tells, distance in fields])
+    return np.array([tells & (distance < -far) for tells, distance in fields])
+
+
+def _cells(view: View, points: np.ndarray, spacing: float) -> np.ndarray:
+    """Return the cell [P,2] of a view's image that shows each point [P,3]; a cell is as wide as the points' spacing."""
+    pixels, depth = view.camera.project(points)
+    width = view.camera.K[0, 0] * spacing / max(float(np.median(depth)), 1e-9)
+    return np.asarray(np.floor(np.clip(pixels, 0, (view.camera.width, view.camera.height)) / width).astype(np.int64))
+
+
+def _needed(left_out: np.ndarray, cells: Sequence[np.ndarray]) -> float:
+    """Return how much of what a view leaves out, [P] bool, the other masks need, 0..1.
+
+    A mask needs a point if none of the points that the view keeps lies before or behind it. cells [P,2]: of each of the
+    other views.
+    """
+    needed = []
+    for cell in cells:
+        low = cell.min(axis=0) - 1
+        filled = np.zeros(cell.max(axis=0) - low + 2, bool)
+        filled[tuple((cell[~left_out] - low).T)] = True
+        around = ndimage.binary_dilation(filled, np.ones((3, 3)))
+        needed.append(~around[tuple((cell[left_out] - low).T)])
+    return float(np.mean(needed)) if left_out.any() else 0.0

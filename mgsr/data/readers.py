@@ -9,7 +9,7 @@ from dataclasses import replace
 from itertools import compress
 from pathlib import Path
 
-from mgsr.config import DataConfig, Masks
+from mgsr.config import DataConfig, Masks, Object
 from mgsr.config.expert import DataOptions
 from mgsr.data.archive import archive_stem, temporary_folder, unpack
 from mgsr.data.camera_search import CameraSearch
@@ -22,6 +22,7 @@ from mgsr.data.loading import LoadedView, LoadProgress, load_views
 from mgsr.data.mask_files import MaskIndex
 from mgsr.data.mask_use import MaskUse, require_plausible_ball
 from mgsr.data.normalise import normalisation
+from mgsr.data.object_place import read_object_place
 from mgsr.data.odd_files import VIDEO_CURE, is_read_video_name, is_video_name, what_instead
 from mgsr.data.odd_masks import agreeing_masks
 from mgsr.data.photo_files import SceneFolder
@@ -106,6 +107,10 @@ def load_capture(
     if outlines and views.use is MaskUse.OBJECT and config.masks is Masks.AUTO:
         masks = [view.alpha for view in train_views if view.alpha is not None]
         require_plausible_ball(frame.scale, masks, [view.camera for view in train_views], options.mask_use)
+    place, no_place = read_object_place(found.folder) if config.object is Object.AUTO else (None, ())
+    ground = None
+    if place is not None and place.ground is not None and outlines:
+        ground = frame.inverse.plane_to_user(place.ground)
     few = note_of_few_views(train_views, frame.offset, bool(outlines), options.view_count)
     assert found.kind is not None
     return Scene(
@@ -116,12 +121,15 @@ def load_capture(
         test=[_to_scene(view, frame) for view in views.test],
         points=_points_to_scene(capture, frame),
         user_from_scene=frame,
-        notes=(*found.notes, *capture.notes, *lost, *unused, *views.notes, *odd, *((few,) if few else ())),
+        notes=(*found.notes, *capture.notes, *lost, *unused, *views.notes, *odd, *no_place, *((few,) if few else ())),
         warning=few,
         ignoring=views.ignoring,
         source=path,
         read_with=config,
         options=options,
+        ground=ground,
+        mask_dissent=0 if place is None or not outlines else int(options.mask_dissent * len(train_views)),
+        object_place=place,
     )
 
 

@@ -14,6 +14,7 @@ from mgsr.config import Background, DataConfig
 from mgsr.config.expert import DataOptions
 from mgsr.data.backdrop import BLACK, WHITE, Backdrop, Color, plain_backdrop
 from mgsr.data.camera import Camera
+from mgsr.data.object_place import ObjectPlace
 
 Item = TypeVar("Item")
 
@@ -132,7 +133,8 @@ class Scene:
 
     ground [4]: the plane on which a found object stands, None if it is unknown. It holds the points x with
     ground[:3] . x + ground[3] = 0; its unit normal points up. mask_dissent: the number of training views whose masks
-    may exclude a point of the object; 0 for masks that came with the capture.
+    may exclude a point of the object; 0 for masks that no search has found. object_place: where the object lies, as
+    the capture says, None without that.
     """
 
     name: str
@@ -151,6 +153,7 @@ class Scene:
     options: DataOptions = field(default_factory=DataOptions)
     ground: np.ndarray | None = None
     mask_dissent: int = 0
+    object_place: ObjectPlace | None = None
 
     @property
     def masked(self) -> bool:

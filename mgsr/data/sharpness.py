@@ -100,5 +100,6 @@ def _neighbours(views: Sequence[View], options: SharpnessOptions) -> list[np.nda
         apart = np.linalg.norm(centers - centers[i], axis=1) / spread + np.linalg.norm(axes - axes[i], axis=1)
         nearest = np.argsort(apart)[: options.nearest + 1]
         beside = order[max(place[i] - options.adjacent, 0) : place[i] + options.adjacent + 1]
+        beside = beside[axes[beside] @ axes[i] > np.cos(np.radians(options.same_side))]
         found.append(np.setdiff1d(np.union1d(nearest, beside), [i]))
     return found

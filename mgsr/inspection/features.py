@@ -9,7 +9,7 @@ import numpy as np
 from scipy.cluster.vq import kmeans2
 
 from mgsr.config.expert import FeatureOptions
-from mgsr.data.images import composite_on_white
+from mgsr.data.images import composite_on_white, srgb_to_linear
 from mgsr.data.scene import View
 from mgsr.parallel import map_ahead
 
@@ -20,11 +20,13 @@ class Features:
 
     pixels [N,2] float64: places in the view's own image. descriptors [N,128] float32: RootSIFT (Arandjelovic and
     Zisserman 2012), of unit length. scale: pixels of the view for one pixel of the image in which they were found.
+    light [N] float32: the logarithm of the linear light around each feature, NaN where it is clipped or black.
     """
 
     pixels: np.ndarray
     descriptors: np.ndarray
     scale: float
+    light: np.ndarray
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -51,13 +53,30 @@ def _features(view: View, options: FeatureOptions) -> Features:
     inner = cv2.erode(shown, np.ones((2 * options.edge + 1,) * 2, np.uint8), borderValue=1)
     found, descriptors = cv2.SIFT_create(options.count).detectAndCompute(grey, inner)  # type: ignore[attr-defined]
     if descriptors is None:
-        return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), scale)
+        return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), scale, np.zeros(0, np.float32))
     places = np.array([point.pt for point in found], np.float64) + 0.5
     # SIFT may return one more than asked for, where two have the same strength.
     order = np.argsort([-point.response for point in found], kind="stable")[: options.count]
     across = np.array([view.camera.width / grey.shape[1], view.camera.height / grey.shape[0]])
     roots = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6))
-    return Features(places[order] * across, roots[order].astype(np.float32), scale)
+    light = _light(pixels, places[order], grey.shape, options)
+    return Features(places[order] * across, roots[order].astype(np.float32), scale, light)
+
+
+def _light(image: np.ndarray, places: np.ndarray, size: tuple[int, ...], options: FeatureOptions) -> np.ndarray:
+    """Return the logarithm of the mean linear light [N] around places [N,2]; NaN where it is clipped or black.
+
+    image [H,W,3] uint8: the photograph. size: the rows and columns of the image that the places belong to.
+    """
+    import cv2  # late: training needs no OpenCV
+
+    table = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
+    lost = ((image >= options.clipped) | (image <= options.black)).any(axis=2).astype(np.float32)
+    both = cv2.resize(np.dstack([table[image].mean(axis=2), lost]), size[1::-1], interpolation=cv2.INTER_AREA)
+    both = cv2.GaussianBlur(both, (0, 0), options.around)
+    columns, rows = np.minimum(places.astype(np.int64), np.array(size[1::-1]) - 1).T
+    light, unknown = both[rows, columns].T
+    return np.where(unknown < options.lost, np.log(np.maximum(light, table[1])), np.nan).astype(np.float32)
 
 
 def match(one: Features, other: Features, ratio: float = FeatureOptions().ratio) -> np.ndarray:

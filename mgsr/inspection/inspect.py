@@ -10,11 +10,11 @@ import numpy as np
 from mgsr.config.expert import InspectionConfig
 from mgsr.data.scene import Scene, View, some_of
 from mgsr.inspection.coverage import check_parallax, check_sides
+from mgsr.inspection.exposure_check import check_exposures
 from mgsr.inspection.features import Features, find_features
 from mgsr.inspection.findings import Code, Finding, InspectedPhoto, Inspection, Severity, sorted_by_severity
 from mgsr.inspection.pairs import Likeness, Pair, compare_pairs
 from mgsr.inspection.photo_check import (
-    check_exposures,
     check_lenses,
     check_masks,
     check_object_size,
@@ -49,6 +49,7 @@ def inspect_scene(
     compared_names = [names[index] for index in chosen]
     found = check_poses(compared_names, [len(one) for one in features], judged, options)
     found += check_movement(judged.pairs, options)
+    found += check_exposures(compared, compared_names, features, judged.pairs, options, scene.options.brightness)
     found += check_photographs(scene, views, names, tracks, options)
     photographs = _photographs(scene, compared, compared_names, judged.pairs, tracks)
     return Inspection(sorted_by_severity(found), photographs, time.perf_counter() - started_at)
@@ -80,7 +81,6 @@ def check_photographs(
 ) -> list[Finding]:
     """Return the findings that need no pairs of photographs. tracks: points that photographs share."""
     found = check_sharpness(views, names, scene.options.sharpness)
-    found += check_exposures(views, names, options.photos, scene.options.brightness)
     found += check_sides([view.camera for view in views], names, scene.user_from_scene, options.coverage)
     target = np.median(tracks.points, axis=0) if len(tracks.points) >= options.min_points else np.zeros(3)
     found += check_parallax(np.array([view.camera.center for view in views]), target, options.coverage)

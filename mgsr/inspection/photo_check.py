@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mgsr.config.expert import BrightnessOptions, OddMaskOptions, PhotoCheckOptions, SharpnessOptions
-from mgsr.data.exposure import brightness_offsets, robust_jump
+from mgsr.config.expert import OddMaskOptions, PhotoCheckOptions, SharpnessOptions
 from mgsr.data.odd_masks import left_out_shares
 from mgsr.data.scene import Scene, View
 from mgsr.data.sharpness import lost_sharpness
@@ -36,41 +35,12 @@ def check_sharpness(
     ]
 
 
-def check_exposures(
-    views: Sequence[View],
-    names: Sequence[str],
-    options: PhotoCheckOptions = PhotoCheckOptions(),
-    brightness: BrightnessOptions = BrightnessOptions(),
-) -> list[Finding]:
-    """Return a finding where photographs are much brighter or darker than those from about the same place."""
-    if len(views) < 6:
-        return []
-    offsets = brightness_offsets(views, brightness)
-    spread = robust_jump(offsets, brightness)
-    odd = np.flatnonzero(np.abs(offsets - np.median(offsets)) > max(np.log(options.outlier), 5 * spread))
-    if spread < options.jumps and not len(odd):
-        return []
-    return [
-        Finding(
-            Code.EXPOSURE_JUMPS,
-            Severity.WARNING if len(odd) else Severity.NOTE,
-            f"the light changes by {np.expm1(spread):.0%} from one photograph to its neighbours"
-            + (f", and by twice or more in {len(odd)}" if len(odd) else ""),
-            round(float(np.exp(np.abs(offsets).max())), 2),
-            "times",
-            "fix exposure and white balance of the camera; MGSR evens what is left, except for clipped light",
-            pick(names, odd),
-        )
-    ]
-
-
 def check_object_size(
     scene: Scene, views: Sequence[View], options: PhotoCheckOptions = PhotoCheckOptions()
 ) -> list[Finding]:
     """Return a finding where the object covers a small part of the photographs, or few pixels."""
     if scene.masked:
-        areas = [float((view.alpha > 127).sum()) for view in views if view.alpha is not None]
-        diameters = 2 * np.sqrt(np.array(areas) / np.pi)
+        diameters = np.array([_larger_side(view.alpha > 127) for view in views if view.alpha is not None])
     else:
         # The object, or what most cameras look at, is the unit ball.
         far = [float(np.linalg.norm(view.camera.center)) for view in views]
@@ -90,6 +60,11 @@ def check_object_size(
             "come nearer, zoom in, or use larger photographs",
         )
     ]
+
+
+def _larger_side(mask: np.ndarray) -> float:
+    """Return the larger side, pixels, of the box around a mask [H,W] bool; 0 for an empty one."""
+    return float(max((np.ptp(np.flatnonzero(mask.any(axis=axis))) + 1 for axis in (0, 1) if mask.any()), default=0))
 
 
 def check_masks(
@@ -116,7 +91,7 @@ def check_masks(
         )
     if len(views) < odd_masks.min_views:
         return found
-    shares = left_out_shares(views, outlines, odd_masks)
+    shares = left_out_shares(views, outlines, options.left_out, odd_masks)
     odd = np.flatnonzero(shares > options.left_out)
     if len(odd):
         found.append(

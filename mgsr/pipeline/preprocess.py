@@ -18,6 +18,7 @@ from mgsr.data.find_cameras import with_cameras
 from mgsr.data.find_scene import FoundScene
 from mgsr.data.found_cameras import CameraFolder
 from mgsr.data.masks import with_masks
+from mgsr.data.object_place import ObjectPlace
 from mgsr.data.object_scene import with_object
 from mgsr.data.readers import find_capture, load_capture, load_scene
 from mgsr.data.scene import Scene
@@ -228,12 +229,15 @@ def _object_alone(
 
     points: chooses the starting points during a step.
     """
-    text, options = "looking for the object", config.expert.segmentation
-    box = object_box(config.data.object_box)
-    if box is not None:
-        box = scene.user_from_scene.to_scene(box)
+    place, options = _object_place(scene, config), config.expert.segmentation
+    box = None if place is None else scene.user_from_scene.to_scene(place.box)
+    ground = None
+    if place is not None and place.ground is not None:
+        ground = scene.user_from_scene.inverse.plane_to_user(place.ground)
+    text = "looking for the object" + (" in the given box" if place is not None else "")
     with step("object", text):
-        found = find_object(scene, start, config.seed, box, step.should_stop, step.share("object", text), options)
+        progress = step.share("object", text)
+        found = find_object(scene, start, config.seed, box, ground, step.should_stop, progress, options)
         if isinstance(found, NoObject):
             note = f"everything in view is reconstructed, because no single object was found: {found.reason}"
         else:
@@ -256,6 +260,12 @@ def _object_alone(
             step.progress(Event("object", each))
     with step("object", "choosing starting points anew"):
         return scene, points(scene, "object", "choosing starting points anew")
+
+
+def _object_place(scene: Scene, config: Config) -> ObjectPlace | None:
+    """Return where the object lies, as the settings or else the capture say; None where neither does."""
+    box = object_box(config.data.object_box)
+    return scene.object_place if box is None else ObjectPlace(box)
 
 
 def _as_lit(scene: Scene, lighting: Lighting | None, config: Config, out: Path, step: Steps) -> Scene:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from mgsr.data.object_place import OBJECT_FILE
+
 MESH = "mesh.ply"
 MESH_OBJ = "mesh.obj"
 MODEL_GLB = "model.glb"
@@ -16,7 +18,7 @@ BACKGROUND = "splats_background.ply"
 ENVIRONMENT_MAP = "mirrored_light.npz"
 FLASH = "flash.npz"
 EXPOSURES = "exposures.json"
-OBJECT = "object.json"
+OBJECT = OBJECT_FILE
 MASKS = "masks"
 RENDERS = "renders/test"
 REPORT = "report.json"

@@ -69,6 +69,7 @@ def find_object(
     start: StartingPoints,
     seed: int,
     box: np.ndarray | None = None,
+    ground: np.ndarray | None = None,
     should_stop: Callable[[], bool] = lambda: False,
     progress: Callable[[float], None] = lambda done: None,
     options: SegmentationConfig = SegmentationConfig(),
@@ -76,15 +77,18 @@ def find_object(
     """Find the object in a scene without masks; the same seed gives the same masks.
 
     start: points of the whole scene. box [2,3]: the least and the largest corner of a box around the object, in the
-    scene's frame, from the user; None: the object stands in the middle of the scene. progress: receives the share of
-    the work that is done, 0..1.
+    scene's frame, from the user; None: the object stands in the middle of the scene. ground [4]: the plane on which it
+    stands, in the scene's frame, from the user (see `Scene.ground`); None: it is searched for. progress: receives the
+    share of the work that is done, 0..1.
 
     Raises Cancelled once should_stop returns True, and TrainingError if training fails.
     """
     views, own = [small_view(view, options.search.side) for view in scene.train], options.search
     small = replace(scene, train=views, test=[])
     model = _trained(small, start, seed, own.iterations, should_stop, lambda done: progress(0.4 * done))
-    first = _first_labels(model, [view.camera for view in views], box, np.random.default_rng(seed), options)
+    cameras, generator = [view.camera for view in views], np.random.default_rng(seed)
+    plane = None if ground is None else SupportPlane(ground[:3], float(ground[3]))
+    first = _first_labels(model, cameras, box, plane, generator, options)
     if isinstance(first, NoObject):
         return first
     search = _Search(model, first, views, options)
@@ -263,18 +267,21 @@ def _first_labels(
     model: SurfelModel,
     cameras: Sequence[Camera],
     box: np.ndarray | None,
+    plane: SupportPlane | None,
     generator: np.random.Generator,
     options: SegmentationConfig,
 ) -> _FirstLabels | NoObject:
     """Label the largest connected piece of surfels that stands on the support plane; those near the middle weigh more.
 
     box [2,3]: the box in the scene's frame that holds the object; None: the object stands near the scene's centre.
+    plane: the support plane; None: it is searched for.
     """
     own, pixel = options.search, pixel_size(cameras, np.zeros(3))
     centers = np.asarray(model.means.detach().numpy(), np.float64)
     solid = model.opacities().detach().numpy() > own.solid
     around = np.linalg.norm(centers, axis=1) < own.near
-    plane = find_support_plane(centers[solid & around], cameras, own.flat * pixel, generator, options.plane)
+    if plane is None:
+        plane = find_support_plane(centers[solid & around], cameras, own.flat * pixel, generator, options.plane)
     inside = around
     if box is not None:
         margin = own.flat * pixel

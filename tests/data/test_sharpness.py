@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mgsr.config import Flawed
+from mgsr.config.expert import SharpnessOptions
 from mgsr.data.camera import Camera
 from mgsr.data.coverage import note_of_few_views
 from mgsr.data.loading import LoadedView
@@ -61,6 +62,21 @@ def test_contrast_and_noise_are_no_blur() -> None:
         return np.clip(dark + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
 
     assert not less_sharp(views(set(), change)).any()
+
+
+def test_a_plain_side_is_no_blur() -> None:
+    """Check it where neighbours by name show opposite sides of the object, of which one has less detail."""
+    found, detailed = [], texture(0)
+    plain = cv2.GaussianBlur(detailed, (0, 0), 1.5)
+    for i in range(COUNT):
+        turn = np.radians(180 * (i % 2) + 360 * (i // 2) / COUNT)
+        pose = np.eye(4)
+        pose[:3, :3] = [[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]]
+        pose[2, 3] = 3
+        image = cv2.addWeighted(detailed, 0.75 + 0.25 * np.cos(turn), plain, 0.25 - 0.25 * np.cos(turn), 0)
+        found.append(View(f"{i:03d}", Camera(np.eye(3), pose, 128, 96), image))
+    assert not less_sharp(found).any()
+    assert less_sharp(found, SharpnessOptions(same_side=180)).any()
 
 
 @pytest.mark.parametrize("blurred", list(Flawed))

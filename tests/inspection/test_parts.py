@@ -43,7 +43,7 @@ def features(seed: int = 2) -> list[Features]:
     descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
     orders = [rng.permutation(40) for _ in CAMERAS]
     return [
-        Features(camera.project(POINTS)[0][order], descriptors[order], 1.0)
+        Features(camera.project(POINTS)[0][order], descriptors[order], 1.0, np.zeros(40, np.float32))
         for camera, order in zip(CAMERAS, orders, strict=True)
     ]
 

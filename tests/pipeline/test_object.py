@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from PIL import Image
 import mgsr
 from mgsr.config import make_config
 from mgsr.data.readers import load_scene
+from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError, MgsrError
 from mgsr.export.scenes import write_scene
 from mgsr.pipeline import preprocess
@@ -20,6 +22,7 @@ from mgsr.pipeline.progress import ignore
 from mgsr.pipeline.run import run_scene
 from mgsr.pipeline.single_steps import mesh_again, score_again
 from mgsr.pipeline.steps import StepClock, Steps
+from mgsr.segmentation.object_masks import NoObject
 from tests.segmentation.table_scene import TABLE, table_scene
 
 pytestmark = pytest.mark.usefixtures("grainy_pictures")
@@ -99,6 +102,44 @@ def test_single_steps_take_the_masks_up(done: Path, capture: Path) -> None:
     assert scores["psnr_test"] == pytest.approx(report["psnr_test"], abs=1e-3)
     mesh = mesh_again(capture, done, config, "cpu")
     assert len(mesh.faces) == pytest.approx(report["mesh"]["faces"], rel=2e-3)  # the files hold float32
+
+
+def test_what_a_run_writes_can_be_given_back(done: Path, capture: Path, tmp_path: Path) -> None:
+    given, written = tmp_path / "given", json.loads((done / "object.json").read_text())
+    shutil.copytree(capture, given)
+    shutil.copy(done / "object.json", given)
+    place = load_scene(given).object_place
+    assert place is not None and place.box.ravel().tolist() == written["box"]
+    shutil.copytree(done / "masks", given / "masks")
+    scene = load_scene(given)
+    assert scene.masked and scene.ground is not None
+    for view in scene.train + scene.test:
+        np.testing.assert_array_equal(view.alpha, np.array(Image.open(done / "masks" / f"{view.name}.png")))
+
+
+@pytest.mark.parametrize("setting", [None, "object_box=-0.4,-0.3,-0.2,0.4,0.5,0.6"])
+def test_the_object_is_looked_for_where_a_person_says(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, setting: str | None
+) -> None:
+    asked = []
+
+    def search(scene: Scene, start: object, seed: int, box: np.ndarray, ground: np.ndarray, *rest: object) -> NoObject:
+        frame = scene.user_from_scene
+        asked.append((frame.to_user(box), None if ground is None else frame.plane_to_user(ground)))
+        return NoObject("this is a test")
+
+    monkeypatch.setattr(preprocess, "find_object", search)
+    shutil.copytree(capture, tmp_path / "given")
+    file = {"box": [-0.5, -0.5, TABLE, 0.5, 0.5, 0.7], "ground": [0, 0, 1, -TABLE]}
+    (tmp_path / "given" / "object.json").write_text(json.dumps(file))
+    config = make_config(overrides=[*FEW, *([] if setting is None else [setting])])
+    steps = Steps(StepClock(), ignore, lambda: False)
+    preprocess.preprocess(load_scene(tmp_path / "given", config.data), config, tmp_path / "out", steps)
+    ((box, ground),) = asked
+    if setting is None:
+        assert box.ravel() == pytest.approx(file["box"]) and ground == pytest.approx(file["ground"])
+    else:
+        assert box.ravel() == pytest.approx([-0.4, -0.3, -0.2, 0.4, 0.5, 0.6]) and ground is None
 
 
 def test_another_run_takes_the_masks_over(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

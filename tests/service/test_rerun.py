@@ -107,6 +107,7 @@ def test_an_unknown_job(idle: Stack) -> None:
     [
         (OPTIONS["settings"] | {"mesh.poisson_depth": 7}, set(FOUND) - {"mesh.ply"}),
         (OPTIONS["settings"] | {"data.max_side": 800}, {"cameras/sparse/0/images.bin"}),
+        (OPTIONS["settings"] | {"data.object_box": "-1,-1,0,1,1,2"}, {"cameras/sparse/0/images.bin"}),
         (OPTIONS["settings"] | {"time_budget": 60.0}, {"cameras/sparse/0/images.bin"}),
     ],
 )

@@ -57,6 +57,7 @@ class OddMaskOptions(Options):
     places: Pair = 32  # along each side of the cube of places that masks are compared on
     dissent: Share = 0.1  # of the views, or one view, that may have a place of the object outside its mask
     left_out: Share = 0.5  # share of the object from which a mask that leaves it out contradicts the others
+    needed: Share = 0.1  # share of what a mask leaves out that the other masks need, below which it is no mistake
     max_odd: Share = 0.25  # share of the views above which it is unknown which masks are right
 
 
@@ -94,6 +95,8 @@ class SharpnessOptions(Options):
     max_loss: NotNegative = 0.55  # powers of two of sharpness that a photograph may lack
     nearest: WholeNumber = 6  # neighbours by the camera's place
     adjacent: WholeNumber = 5  # neighbours by name, before and after each
+    same_side: Angle = 45.0  # degrees between the directions of two cameras, beyond which they show different sides of
+    # an object, of which one may be plainer; neighbours by name do not count then
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,10 @@ class FeatureOptions(Options):
     words: Annotated[int, Range(2)] = 32  # of the vocabulary that describes whole photographs
     sample: Count = 6000  # features from which the vocabulary is made
     ratio: Share = 0.8  # largest ratio of the distances of the best and the second best match. Source: Lowe 2004
+    around: Positive = 1.5  # pixels; standard deviation of the Gaussian window in which a feature's light is measured
+    clipped: Annotated[int, Range(0, 255)] = 250  # least value of a pixel whose light is unknown, as it may be clipped
+    black: Annotated[int, Range(0, 255)] = 3  # largest value of a pixel that is too dark to tell its light
+    lost: Share = 0.05  # share of such pixels in the window above which a feature's light is unknown
 
 
 @dataclass(frozen=True)
@@ -89,6 +93,9 @@ class PhotoCheckOptions(Options):
     """The check of single photographs, their masks and their lenses."""
 
     jumps: NotNegative = 0.05  # spread of log light above chance
+    shared_places: Annotated[int, Range(4)] = 16  # matches of a photograph, with fewer of which its light is unknown
+    told: Share = 0.5  # share of the photographs whose light must be known
+    common: Share = 0.6  # correlation of the light of both halves of the photographs; gloss changes one half alone
     outlier: Annotated[float, Range(1)] = 2.0  # factor against the neighbours' light beyond which highlights or shadows
     # are lost
     small_share: Share = 0.2  # diameter of a small object, as a share of the image's shorter side

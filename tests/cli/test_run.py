@@ -117,7 +117,8 @@ def test_the_report_has_its_fields(done: Path) -> None:
     assert 0 < report["gt"]["chamfer"] < 0.06 and report["gt"]["normal_consistency"] > 0.8
     assert report["seconds"]["total"] >= report["seconds"]["train"] > 0
     assert report["peak_memory_mib"] > 50 and "torch" in report["versions"]
-    assert "<html" in (done / "report.html").read_text()
+    page = (done / "report.html").read_text()
+    assert "<html" in page and page.count('alt="Textured model, ') == 6
     assert "mutual 60/60" in (done / "log.txt").read_text()
 
 

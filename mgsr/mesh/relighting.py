@@ -50,18 +50,25 @@ class SeenSurface:
 
         light [h,2h,3]: linear radiance, rows by the polar angle from the mesh's z, columns by the azimuth from its x.
         """
+        shade = self.occlusion[:, None] * (self._matte(light) if self.material.matte else self._glossy(light))
+        rays = np.zeros((*self.hit.shape, 4), np.float32)
+        rays[self.hit] = np.concatenate([shade, np.ones((len(shade), 1))], axis=1)
+        rows, columns = self.hit.shape
+        return np.asarray(rays.reshape(rows // SAMPLES, SAMPLES, columns // SAMPLES, SAMPLES, 4).mean(axis=(1, 3)))
+
+    def _matte(self, light: np.ndarray) -> np.ndarray:
+        """Return what the hits [P,3] scatter of the light."""
+        return np.asarray(self.albedo * irradiance(light, self.normals))
+
+    def _glossy(self, light: np.ndarray) -> np.ndarray:
+        """Return what the hits [P,3] scatter and mirror of the light."""
         metallic, height = self.material.metallic, len(light)
         frontal = DIELECTRIC * (1 - metallic) + metallic * self.albedo
         black, white = (mirrored_share(self._cosines, self.material.roughness, each)[:, None] for each in (0.0, 1.0))
         lobe = GgxLobe(self.material.roughness, height)
         gloss = sample_map(self._mirrored, height) @ lobe.blur(light.reshape(-1, 3))
         mirrored, kept = (black + each * (white - black) for each in (frontal, DIELECTRIC))
-        matte = (1 - metallic) * (1 - kept) * self.albedo * irradiance(light, self.normals)
-        shade = self.occlusion[:, None] * (matte + mirrored * gloss)
-        rays = np.zeros((*self.hit.shape, 4), np.float32)
-        rays[self.hit] = np.concatenate([shade, np.ones((len(shade), 1))], axis=1)
-        rows, columns = self.hit.shape
-        return np.asarray(rays.reshape(rows // SAMPLES, SAMPLES, columns // SAMPLES, SAMPLES, 4).mean(axis=(1, 3)))
+        return np.asarray((1 - metallic) * (1 - kept) * self._matte(light) + mirrored * gloss)
 
     @cached_property
     def _cosines(self) -> np.ndarray:

@@ -67,9 +67,8 @@ def done(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_all_results_are_there_and_nothing_else(done: Path) -> None:
-    # So rough a surface may seem glossy or not.
-    assert {path.name for path in done.iterdir()} - {"environment.exr"} == {
-        *("mesh.ply", "model.glb", "splats_2d.ply", "splats_3d.ply", "renders"),
+    assert {path.name for path in done.iterdir()} == {
+        *("mesh.ply", "model.glb", "environment.exr", "splats_2d.ply", "splats_3d.ply", "renders"),
         *("mirrored_light.npz", "report.json", "report.html", "log.txt", "checkpoint"),
     }
     pictures = {path.name for path in (done / "renders" / "test").iterdir()}

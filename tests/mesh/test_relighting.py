@@ -40,7 +40,7 @@ def seen(
 ) -> tuple[SeenSurface, np.ndarray]:
     """Return what a camera at EYE sees of a ball, and the outward normal [P,3] at each hit, by geometry."""
     camera = looking_at_origin(EYE, 64)
-    material = Material(roughness, metallic=metallic)
+    material = Material(roughness, None if roughness == 1 else (roughness, roughness), metallic)
     shown = look_at_textured(replace(mesh, material=material).with_normals(mesh.normals), camera)
     rows, columns = (np.argwhere(shown.hit) + 0.5).T / SAMPLES
     rays = np.stack([(columns - camera.K[0, 2]) / camera.K[0, 0], (rows - camera.K[1, 2]) / camera.K[1, 1]], axis=1)

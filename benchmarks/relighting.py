@@ -7,8 +7,8 @@ and scene_info.json. The model and the true surface with its true material are p
 test views, under two environments. The same model with the photographs' mean colours as a matte base colour is the
 comparison. Each row has the PSNR on the object after one gain for each image; the same of the base colours against the
 true ones; roughness and metallic beside the true ones; and, where the run wrote an environment.exr, the PSNR of the
-model in that light against the test photographs, beside that of the splats' renders. The normal map is left out: it is
-flat where the model has all faces.
+model in that light against the test photographs, beside that of the splats' renders. A matte model is rendered without
+gloss, as its file says. The normal map is left out: it is flat where the model has all faces.
 """
 
 from __future__ import annotations
@@ -265,7 +265,7 @@ def main() -> None:
         rows[name] = relit(places[name], given.runs / name, given.size, given.samples)
         print(rows[name], flush=True)
         if given.out:
-            write_csv(given.out, RelightingRow, list(rows.values()), digits=4)
+            write_csv(given.out, RelightingRow, [rows[each] for each in sorted(rows)], digits=4)
 
 
 def arguments() -> argparse.Namespace:

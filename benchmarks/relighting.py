@@ -7,8 +7,8 @@ and scene_info.json. The model and the true surface with its true material are p
 test views, under two environments. The same model with the photographs' mean colours as a matte base colour is the
 comparison. Each row has the PSNR on the object after one gain for each image; the same of the base colours against the
 true ones; roughness and metallic beside the true ones; and, where the run wrote an environment.exr, the PSNR of the
-model in that light against the test photographs, beside that of the splats' renders. The normal map is left out: it is
-flat where the model has all faces.
+model in that light against the test photographs, beside that of the splats' renders. A matte model is rendered without
+gloss, as its file says. The normal map is left out: it is flat where the model has all faces.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,9 +40,10 @@ from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.mesh.unwrap import UnwrappedMesh
 from mgsr.mesh.views import SurfaceView
 from mgsr.pipeline.result_files import read_mesh
-from mgsr.pipeline.result_paths import ENVIRONMENT, MODEL_GLB, RENDERS
+from mgsr.pipeline.result_paths import ENVIRONMENT, MODEL_GLB, RENDERS, REPORT
 
 VIEWS = 3
+OWN_LIGHT_SAMPLES = 8  # times those in new light: the noise of few is as large as the model's error
 UPRIGHT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # from model.glb's axes, y up, to the scenes', z up
 ALBEDO = {"type": "aov", "aovs": "albedo:albedo", "image": {"type": "path", "max_depth": 2, "hide_emitters": True}}
 SHADED = {"type": "path", "max_depth": 5, "hide_emitters": True}
@@ -132,10 +133,15 @@ def as_shape(mesh: UnwrappedMesh | trimesh.Trimesh, material: dict[str, Any], co
 
 def read_model(path: Path) -> tuple[UnwrappedMesh, np.ndarray, float, float]:
     """Return the mesh of model.glb in the scene's axes, its base colour [H,W,3] sRGB, roughness and metallic."""
-    loaded: Any = trimesh.load_scene(path, process=False).to_mesh()
+    scene: Any = trimesh.load_scene(path, process=False)
+    # Its `to_mesh` would compute other normals than the file's.
+    ((node, name),) = ((each, scene.graph[each][1]) for each in scene.graph.nodes_geometry)
+    loaded, placed = scene.geometry[name], scene.graph[node][0]
     surface = loaded.visual.material
     picture = np.asarray(surface.baseColorTexture.convert("RGB"))
-    vertices, normals = (np.asarray(each) @ UPRIGHT.T for each in (loaded.vertices, loaded.vertex_normals))
+    turn = UPRIGHT @ placed[:3, :3]
+    vertices = np.asarray(loaded.vertices) @ turn.T + UPRIGHT @ placed[:3, 3]
+    normals = np.asarray(loaded.vertex_normals) @ turn.T
     uvs = np.asarray(loaded.visual.uv) * [1, -1] + [0, 1]
     mesh = UnwrappedMesh(vertices, np.asarray(loaded.faces), uvs, np.zeros((len(uvs), 4)), picture.shape[:2])
     return mesh.with_normals(normals.astype(np.float32)), picture, surface.roughnessFactor, surface.metallicFactor
@@ -189,11 +195,14 @@ def relit(path: Path, out: Path, size: int, samples: int) -> RelightingRow:
     surface, colors = true_surface(loaded, args)
     mesh, picture, roughness, metallic = read_model(out / MODEL_GLB)
     own = {"type": "principled", "base_color": bitmap(picture), "roughness": roughness, "metallic": metallic}
+    material = own | {"specular": 0.5}
+    if json.loads((out / REPORT).read_text())["material"]["roughness_range"] is None:
+        material = matte(bitmap(picture))  # its file has no gloss (KHR_materials_specular)
     seen = bitmap(photograph_colors(mesh, read_mesh(out), scene))
     cameras = [Camera(view, scene, size, samples) for view in scene.test[:VIEWS]]
     shaded = [
         as_shape(surface, truth.bsdf, colors),
-        as_shape(mesh, own | {"specular": 0.5}),
+        as_shape(mesh, material),
         as_shape(mesh, matte(seen)),
     ]
     plain = [as_shape(surface, matte(truth.base_color), colors)]
@@ -240,7 +249,8 @@ def in_own_light(shape: Any, out: Path, cameras: Sequence[Camera]) -> tuple[floa
         assert view.alpha is not None
         truth = camera.photographed(np.dstack([view.image, view.alpha]))
         splats = np.asarray(Image.open(out / RENDERS / f"{view.name}.png").convert("RGBA"))
-        scores.append([score(each, truth) for each in (camera.trace(shape, light), camera.photographed(splats))])
+        traced = replace(camera, samples=OWN_LIGHT_SAMPLES * camera.samples).trace(shape, light)
+        scores.append([score(each, truth) for each in (traced, camera.photographed(splats))])
     ours, theirs = (float(each) for each in np.mean(scores, axis=0))
     return ours, theirs
 
@@ -255,7 +265,7 @@ def main() -> None:
         rows[name] = relit(places[name], given.runs / name, given.size, given.samples)
         print(rows[name], flush=True)
         if given.out:
-            write_csv(given.out, RelightingRow, list(rows.values()), digits=4)
+            write_csv(given.out, RelightingRow, [rows[each] for each in sorted(rows)], digits=4)
 
 
 def arguments() -> argparse.Namespace:

@@ -37,7 +37,7 @@ class PbrMaterial:
     """A physically based material; its maps are pictures of the surface by TEXCOORD_0, as PNG files' bytes.
 
     base_color: sRGB. normal: in tangent space. occlusion: its red channel is the visible share of the sky. roughness,
-    metallic: 0..1 on the whole surface.
+    metallic: 0..1 on the whole surface. glossy: False for a dielectric without the gloss that glTF gives to all.
     """
 
     base_color: bytes
@@ -45,6 +45,7 @@ class PbrMaterial:
     occlusion: bytes
     roughness: float
     metallic: float
+    glossy: bool = True
 
 
 def glb(
@@ -115,8 +116,13 @@ def _textured(material: PbrMaterial, body: _Body) -> dict[str, Any]:
         "baseColorTexture": {"index": 0},
     }
     maps = {"normalTexture": {"index": 1}, "occlusionTexture": {"index": 2}}
-    return {
-        "materials": [{"pbrMetallicRoughness": surface, **maps, "doubleSided": True}],
+    whole: dict[str, Any] = {"pbrMetallicRoughness": surface, **maps, "doubleSided": True}
+    used = {}
+    if not material.glossy:
+        whole["extensions"] = {"KHR_materials_specular": {"specularFactor": 0}}
+        used["extensionsUsed"] = ["KHR_materials_specular"]
+    return used | {
+        "materials": [whole],
         "textures": [{"source": source, "sampler": 0} for source in range(3)],
         "images": [{"bufferView": view, "mimeType": "image/png"} for view in views],
         "samplers": [{"magFilter": linear, "minFilter": mipmaps, "wrapS": clamped, "wrapT": clamped}],

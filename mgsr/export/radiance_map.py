@@ -1,4 +1,4 @@
-"""`environment.exr`: the environment that a glossy surface mirrors, for rendering the surface in its own light.
+"""`environment.exr`: the light that a surface mirrors or that shades it, for rendering the surface in its own light.
 
 It is linear radiance in the unit of the photographs' linear light, where 1 is white, for all directions about the
 surface. The frame is that of model.glb, y up. The picture is OpenEXR's latitude-longitude map: its top row is +y, its
@@ -33,6 +33,7 @@ def write_radiance_map(path: Path, light: np.ndarray, up: UpDirection) -> None:
     picture = (sample_map(own, len(light)) @ light.reshape(-1, 3)).reshape(ROWS, 2 * ROWS, 3).astype(np.float32)
     spec = OpenImageIO.ImageSpec(2 * ROWS, ROWS, 3, "half")
     spec.attribute("textureformat", "LatLong Environment")
+    spec.attribute("DateTime", "1970:01:01 00:00:00")  # the time of writing would make equal runs' files differ
     spec.attribute("ImageDescription", "linear radiance about the object, in the frame of model.glb, y up, +z amidst")
     image = OpenImageIO.ImageBuf(spec)
     image.set_pixels(OpenImageIO.ROI(), picture)

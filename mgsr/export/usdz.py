@@ -88,6 +88,8 @@ def _define_material(stage: Any, material: PbrMaterial, shape: Any) -> None:
     surface.CreateIdAttr("UsdPreviewSurface")
     surface.CreateInput("roughness", types.Float).Set(float(material.roughness))
     surface.CreateInput("metallic", types.Float).Set(float(material.metallic))
+    if not material.glossy:
+        surface.CreateInput("ior", types.Float).Set(1.0)
     reader = UsdShade.Shader.Define(stage, "/Model/Material/Places")
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", types.String).Set("st")

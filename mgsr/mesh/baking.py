@@ -65,11 +65,11 @@ def find_texels(unwrapped: UnwrappedMesh, full: Mesh, same_side: float = Texture
     same_side: the cosine between the normals of both below which they are different sides of a sheet.
     """
     index, face, shares = _charted(unwrapped)
-    places = _interpolated(unwrapped.vertices, unwrapped.faces[face], shares)
+    places = interpolated(unwrapped.vertices, unwrapped.faces[face], shares)
     nearest, at = full.caster.nearest(places)
-    points = _interpolated(full.vertices, full.faces[nearest], at)
-    normals = unit_vectors(_interpolated(full.normals, full.faces[nearest], at))
-    own = unit_vectors(_interpolated(unwrapped.normals, unwrapped.faces[face], shares))
+    points = interpolated(full.vertices, full.faces[nearest], at)
+    normals = unit_vectors(interpolated(full.normals, full.faces[nearest], at))
+    own = unit_vectors(interpolated(unwrapped.normals, unwrapped.faces[face], shares))
     alike = (normals * own).sum(axis=1, keepdims=True) > same_side
     return Texels(unwrapped.size, index, face, shares, points, np.where(alike, normals, own))
 
@@ -94,7 +94,7 @@ def bake_colors(
         points = texels.points[part]
         colors, seen = seen_colors(points, texels.normals[part], visible, config.min_alpha, tolerance, threads, options)
         face, shares = full.caster.nearest(points[~seen])
-        colors[~seen] = _interpolated(full.colors, full.faces[face], shares)
+        colors[~seen] = interpolated(full.colors, full.faces[face], shares)
         painted[part] = colors
     return painted
 
@@ -152,7 +152,7 @@ def _inside(hits: RayHits, view: SurfaceView, edge: float) -> np.ndarray:
     return inside
 
 
-def _interpolated(values: np.ndarray, corners: np.ndarray, shares: np.ndarray) -> np.ndarray:
+def interpolated(values: np.ndarray, corners: np.ndarray, shares: np.ndarray) -> np.ndarray:
     """Interpolate vertex values [V,C] in triangles; corners [P,3]: vertex indices; shares [P,3]: barycentric."""
     blended: np.ndarray = np.einsum("pkc,pk->pc", values[corners], shares)
     return blended

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from mgsr.mesh.unwrap import unwrap
 from mgsr.mesh.views import SurfaceView
 from mgsr.shading.ambient_occlusion import trace_hemispheres
 from mgsr.shading.material import MATTE, Material
-from mgsr.shading.static_light import static_irradiance
+from mgsr.shading.static_light import fit_static_light
 
 
 def texture_mesh(
@@ -51,8 +52,10 @@ def texture_mesh(
     elif shaded:
         scale = _albedo_scale(srgb_to_linear(full.colors), material, own)
         around = scale * srgb_to_linear(full.prolongation(coarse.vertices) @ full.colors)
-        light = at @ static_irradiance(coarse, around, seen, options=static)
-        colors = linear_to_srgb(np.clip(scale * srgb_to_linear(colors) / light, 0, 1))
+        light = fit_static_light(coarse, around, seen, options=static)
+        colors = linear_to_srgb(np.clip(scale * srgb_to_linear(colors) / (at @ light.irradiance), 0, 1))
+        if material.light is None:
+            material = replace(material, light=light.environment(static.height, static.freedom))
     visible = diffuse(seen.visibility[:, None], coarse.laplacian, static.reach)
     textured: TexturedMesh = TexturedMesh(
         unwrapped.vertices,

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsr.data.backdrop import Color
+from mgsr.data.images import linear_to_srgb
 from mgsr.data.scene import Scene, View
 from mgsr.data.up_direction import up_direction
 from mgsr.export.renders import on_background
 from mgsr.gaussians.environment_map import EnvironmentMap
-from mgsr.mesh.surface import ReconstructedMesh
+from mgsr.mesh.relighting import look_at_textured, studio_light
+from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline.evaluation import photograph
 from mgsr.pipeline.rendering import RenderedView
@@ -29,9 +31,17 @@ from mgsr.report.pictures import (
     normal_picture,
     premultiplied_picture,
 )
-from mgsr.report.shading import MeshPainter, PaintedMesh, surface_pictures
+from mgsr.report.shading import (
+    MeshPainter,
+    PaintedMesh,
+    bounding_ball,
+    level_front,
+    side_camera,
+    surface_pictures,
+)
 
 MASKS = 6  # photographs that show a found object's masks
+RELIT, RELIT_SIDE = 6, 200  # pictures of the model in new light, and their pixels along a side
 
 
 @dataclass(frozen=True)
@@ -64,10 +74,12 @@ def report_pictures(
     environment_map: EnvironmentMap | None,
     background: Color,
     agreement: Mapping[str, float],
+    relit: Sequence[Picture] = (),
 ) -> ReportPictures:
     """Collect the pictures of the report.
 
-    They show the first test views, the surface, the environment map that it reflects, and a found object's masks.
+    They show the first test views, the surface, the environment map that it reflects, a found object's masks, and the
+    textured model in new light.
 
     psnr: of the test views, dB. background: the colour behind views without masks. agreement: of a found object's
     masks, by the training view's name; empty where no object was found.
@@ -77,7 +89,24 @@ def report_pictures(
         for images, view, value, shaded in zip(rendered, scene.test, psnr, drawn.views, strict=False)
     ]
     maps = () if environment_map is None else environment_map_pictures(environment_map, _up(scene))
-    return ReportPictures(views, maps, drawn.sides, _mask_pictures(scene.train, agreement))
+    return ReportPictures(views, maps, drawn.sides, _mask_pictures(scene.train, agreement), relit)
+
+
+def draw_relit(textured: TexturedMesh, scene: Scene) -> list[Picture]:
+    """Draw the textured model, of the user's frame, in a studio that turns around it."""
+    up = _up(scene) / np.linalg.norm(_up(scene))
+    viewer = scene.user_from_scene.camera_to_user((scene.test or scene.train)[0].camera).center
+    toward = viewer - bounding_ball(textured.vertices)[0]
+    seen = look_at_textured(textured, side_camera(textured.vertices, up, toward, 0.0, RELIT_SIDE))
+    front = level_front(up, toward)
+    pictures = []
+    for step in range(RELIT):
+        angle = 360 * step / RELIT
+        lit = seen.lit(studio_light(up, front, angle))
+        alpha = lit[..., 3]
+        color = linear_to_srgb(np.clip(lit[..., :3] / np.maximum(alpha, 1e-6)[..., None], 0, 1))
+        pictures.append(Picture(f"{angle:.0f}°", color_picture(color, alpha)))
+    return pictures
 
 
 def _up(scene: Scene) -> np.ndarray:

@@ -226,7 +226,8 @@ def write_textured(out: Path, textured: TexturedMesh, scene: Scene, output: Outp
     scaled = textured.in_frame(textured.vertices * output.scale)
     base_color, normal, occlusion = map(png_bytes, (textured.base_color, textured.normal_map, textured.occlusion))
     constants, up = textured.material, _up(scene, output)
-    material = PbrMaterial(base_color, normal, occlusion, constants.roughness, constants.metallic)
+    given = (base_color, normal, occlusion, constants.roughness, constants.metallic)
+    material = PbrMaterial(*given, glossy=not constants.matte)
     with atomic_write(out / MODEL_GLB) as path:
         write_textured_glb(path, scaled, scaled.uvs, scaled.tangents, material, up)
     for name in (MODEL_USDZ, ENVIRONMENT):

@@ -58,7 +58,7 @@ class ResultPaths:
 
     @property
     def environment(self) -> Path:
-        """environment.exr, the light that a glossy surface mirrors, in the frame of model.glb."""
+        """environment.exr, the light about the surface, in the frame of model.glb, where it is known."""
         return self.folder / ENVIRONMENT
 
     @property

@@ -24,7 +24,7 @@ from mgsr.pipeline.object_files import mask_agreement
 from mgsr.pipeline.preprocess import as_read, preprocess, take_scene
 from mgsr.pipeline.progress import Event, EventCallback, ignore
 from mgsr.pipeline.rendering import render_views
-from mgsr.pipeline.report_pictures import SurfaceDrawings, draw_surface, report_pictures
+from mgsr.pipeline.report_pictures import SurfaceDrawings, draw_relit, draw_surface, report_pictures
 from mgsr.pipeline.result_paths import CHECKPOINT, REPORT
 from mgsr.pipeline.run_metadata import run_report
 from mgsr.pipeline.steps import StepClock, Steps, StopCheck, always, never
@@ -176,7 +176,8 @@ def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
     with run.step("report", "writing the report"):
         psnr = [view["psnr"] for view in scores.views.values()]
         maps, agreement = trained.model.environment_map, mask_agreement(run.out)
-        pictures = report_pictures(rendered, psnr, surface.drawn, scene, maps, behind, agreement)
+        relit = draw_relit(textured, scene)
+        pictures = report_pictures(rendered, psnr, surface.drawn, scene, maps, behind, agreement, relit)
     budget = None if run.budget is None else budget_facts(run.budget, clock.steps)
     given = (scene, run.start, run.config, run.device)
     report = run_report(*given, trained, surface.mesh, scores, surface.scores, clock, budget)

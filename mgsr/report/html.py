@@ -58,6 +58,7 @@ def report_page(data: ReportData, pictures: ReportPictures) -> str:
         _light_split(pictures.views),
         _environment_map(pictures.environment_maps),
         _surface(data, pictures.surface),
+        _relit(pictures.relit),
         _more_views(pictures.views),
         _curves(data),
         _scores(data),
@@ -224,6 +225,17 @@ def _surface(data: ReportData, surface: SurfacePictures) -> str:
         parts += ["<h3>Distance to the true surface</h3>", _sides("distance to the truth", surface.distance)]
         parts.append(_distance_legend(surface.limit))
     return f"<section><h2>The surface</h2>{''.join(parts)}</section>"
+
+
+def _relit(pictures: Sequence[Picture]) -> str:
+    if not pictures:
+        return ""
+    tiles = (_tile(f"Textured model, {each.caption}", each.caption, each.pixels, TILE_SIDE) for each in pictures)
+    return (
+        "<section><h2>In new light</h2><p>The textured model, <code>model.glb</code>, in a studio that turns around "
+        "it. The photographs&rsquo; light is divided out of its colours as far as it is known; what is left of it does "
+        f'not turn with the studio.</p><div class="row {COLUMNS[len(pictures)]}">{"".join(tiles)}</div></section>'
+    )
 
 
 def _mesh_words(data: ReportData) -> str:

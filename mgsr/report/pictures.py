@@ -70,13 +70,14 @@ class ReportPictures:
     """All pictures of a report; the first view is the one at the top.
 
     environment_maps: the learned maps that the surface reflects, if any. masks: photographs that are dimmed outside the
-    found object's mask, if any.
+    found object's mask, if any. relit: the textured model in a studio that turns around it.
     """
 
     views: Sequence[TestViewPictures] = ()
     environment_maps: Sequence[Picture] = ()
     surface: SurfacePictures = field(default_factory=SurfacePictures)
     masks: Sequence[Picture] = ()
+    relit: Sequence[Picture] = ()
 
 
 def mask_picture(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:

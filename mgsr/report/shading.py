@@ -145,7 +145,7 @@ def surface_pictures(
     """
     painter = MeshPainter(mesh)
     front = viewer - painter.center
-    looks = [(name, painter.look(side_camera(painter, up, front, angle, size))) for name, angle in SIDES]
+    looks = [(name, painter.look(side_camera(mesh.vertices, up, front, angle, size))) for name, angle in SIDES]
     shaded = [Picture(name, look.clay()) for name, look in looks]
     colored = [] if mesh.colors is None else [Picture(name, look.colored()) for name, look in looks]
     distance = []
@@ -155,17 +155,23 @@ def surface_pictures(
     return SurfacePictures(shaded, colored, distance, limit)
 
 
-def side_camera(painter: MeshPainter, up: np.ndarray, front: np.ndarray, angle: float, size: int) -> Camera:
-    """Return a camera, size x size, that sees the whole mesh, `angle` degrees around up [3] from front [3]."""
+def side_camera(vertices: np.ndarray, up: np.ndarray, front: np.ndarray, angle: float, size: int) -> Camera:
+    """Return a camera, size x size, that sees all vertices [V,3], `angle` degrees around up [3] from front [3]."""
+    center, radius = bounding_ball(vertices)
     up = up / np.linalg.norm(up)
-    ahead = front - (front @ up) * up
-    if np.linalg.norm(ahead) < 1e-6:
-        ahead = np.cross(up, (1.0, 0.0, 0.0) if abs(up[0]) < 0.9 else (0.0, 1.0, 0.0))
-    ahead = ahead / np.linalg.norm(ahead)
+    ahead = level_front(up, front)
     turn, tilt = np.radians(angle), np.radians(ELEVATION)
     level = np.cos(turn) * ahead + np.sin(turn) * np.cross(up, ahead)
     toward = np.cos(tilt) * level + np.sin(tilt) * up
-    return _look_at(painter.center + 4.5 * painter.radius * toward, toward, up, 4.2, size)
+    return _look_at(center + 4.5 * radius * toward, toward, up, 4.2, size)
+
+
+def level_front(up: np.ndarray, front: np.ndarray) -> np.ndarray:
+    """Return the unit direction [3] across up [3], unit, that is nearest to front [3]; any where front is along up."""
+    ahead = front - (front @ up) * up
+    if np.linalg.norm(ahead) < 1e-6:
+        ahead = np.cross(up, (1.0, 0.0, 0.0) if abs(up[0]) < 0.9 else (0.0, 1.0, 0.0))
+    return np.asarray(ahead / np.linalg.norm(ahead))
 
 
 def bounding_ball(points: np.ndarray) -> tuple[np.ndarray, float]:

@@ -154,6 +154,15 @@ def _places(directions: np.ndarray, height: int) -> tuple[np.ndarray, np.ndarray
     return polar * height - 0.5, azimuth * (2 * height) - 0.5
 
 
+def cell_directions(height: int) -> np.ndarray:
+    """Return the unit directions [height,2*height,3] of the cells of a map, in the order of `sample_map`."""
+    polar, azimuth = np.meshgrid(
+        (np.arange(height) + 0.5) / height * np.pi, (np.arange(2 * height) + 0.5) / height * np.pi, indexing="ij"
+    )
+    flat = np.sin(polar)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.cos(polar)], axis=-1)
+
+
 def sample_map(directions: np.ndarray, height: int) -> sparse.csr_matrix:
     """Return the matrix [Q,2*height^2] that samples a map of height x 2 height cells bilinearly.
 

@@ -14,8 +14,8 @@ class Material:
     roughness: 0..1; its square is the width of the GGX lobe. roughness_range: the roughnesses that explain the
     photographs as well; None where they do not tell, and the surface counts as matte. metallic: 0 for dielectrics, 1
     for metals. tint [3]: a metal's reflectance, linear 0..1; None for a dielectric. light [H,2H,3]: the environment
-    that the surface mirrors, linear radiance in the photographs' unit, rows by the polar angle from the frame's z,
-    columns by the azimuth from its x; None where it is not known.
+    that the surface mirrors, or that shades it if it is matte, linear radiance in the photographs' unit, rows by the
+    polar angle from the frame's z, columns by the azimuth from its x; None where it is not known.
     """
 
     roughness: float = 1.0
@@ -23,6 +23,11 @@ class Material:
     metallic: float = 0.0
     tint: np.ndarray | None = None
     light: np.ndarray | None = None
+
+    @property
+    def matte(self) -> bool:
+        """Return whether the photographs tell of no gloss."""
+        return self.roughness_range is None
 
     def mean_light(self) -> np.ndarray | None:
         """Return the mean [3] of the light over all directions; None where it is not known."""

@@ -8,24 +8,57 @@ Hanrahan, 2001), and its mean is white and 1.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, nnls
 from scipy.spatial import cKDTree
 
 from mgsr.config.expert import StaticLightOptions
 from mgsr.geometry.displace import diffuse
 from mgsr.geometry.mesh import Mesh
-from mgsr.shading.ambient_occlusion import Hemispheres
+from mgsr.shading.ambient_occlusion import Hemispheres, real_harmonics
+from mgsr.shading.environment_fit import cell_directions
 
 
-def static_irradiance(
+@dataclass(frozen=True)
+class StaticLight:
+    """Static light on the vertices of a mesh, relative to its mean.
+
+    irradiance [V,3], over pi, with what the surface itself sends. harmonics [9,3]: the sky's radiance, as coefficients
+    of `real_harmonics`; the first are 1.
+    """
+
+    irradiance: np.ndarray
+    harmonics: np.ndarray
+
+    def environment(self, height: int, freedom: float = StaticLightOptions().freedom) -> np.ndarray:
+        """Return a sky [height,2*height,3], nowhere negative, that gives matte surfaces the same irradiance.
+
+        Harmonics of a low degree are negative in places. Matte surfaces do not tell what the higher degrees are; so
+        the sky is the nearest one that has these harmonics and is nowhere negative. freedom: what a change of the
+        radiance costs, relative to the same change of a harmonic.
+        """
+        directions = cell_directions(height).reshape(-1, 3)
+        areas = np.sqrt(1 - directions[:, 2] ** 2)
+        shares = areas / areas.sum()
+        basis = real_harmonics(directions)
+        wanted = basis @ self.harmonics
+        weights = freedom * np.sqrt(shares)
+        equations = np.concatenate([basis.T * shares, np.diag(weights)])
+        values = np.concatenate([self.harmonics, weights[:, None] * wanted])
+        sky = np.stack([nnls(equations, each)[0] for each in values.T], axis=1)
+        return sky.reshape(height, 2 * height, 3).astype(np.float32)
+
+
+def fit_static_light(
     mesh: Mesh,
     colors: np.ndarray,
     seen: Hemispheres,
     seed: int = 0,
     options: StaticLightOptions = StaticLightOptions(),
-) -> np.ndarray:
-    """Return the irradiance [V,3] of a mesh's vertices, relative to the mean light.
+) -> StaticLight:
+    """Find the static light on a mesh's vertices.
 
     colors [V,3]: the light that the vertices send out, linear. They also light each other. Where no light explains the
     colours better, the light is even, and only the hidden parts of the sky count.
@@ -34,11 +67,10 @@ def static_irradiance(
     # The rays' noise would be explained by a sky as bright as the surface.
     sky, bounced = (diffuse(each, mesh.laplacian, options.reach) for each in (seen.sky, seen.surface @ colors))
     first, second = _pairs(mesh, seed, options)
-    irradiance = np.empty_like(colors)
-    for channel in range(3):
-        light = _fit_light(sky, bounced[:, channel], np.log(colors[:, channel]), first, second, options)
-        irradiance[:, channel] = sky @ light + bounced[:, channel]
-    return np.asarray(np.maximum(irradiance, options.darkest))
+    logs = np.log(colors)
+    lights = [_fit_light(sky, bounced[:, each], logs[:, each], first, second, options) for each in range(3)]
+    harmonics = np.stack(lights, axis=1)
+    return StaticLight(np.maximum(sky @ harmonics + bounced, options.darkest), harmonics)
 
 
 def _pairs(mesh: Mesh, seed: int, options: StaticLightOptions) -> tuple[np.ndarray, np.ndarray]:

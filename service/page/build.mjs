@@ -8,7 +8,7 @@ const here = dirname(fileURLToPath(import.meta.url));
 const source = join(here, "src");
 const target = join(here, "built");
 
-// Packages whose code is in the bundle. fflate lies inside Spark's own file.
+// Packages whose code is in the bundle. fflate lies inside Spark's own file and three's.
 const NOTICES = [
   "three",
   "@sparkjsdev/spark",

@@ -67,9 +67,8 @@ def done(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_all_results_are_there_and_nothing_else(done: Path) -> None:
-    # So rough a surface may seem glossy or not.
-    assert {path.name for path in done.iterdir()} - {"environment.exr"} == {
-        *("mesh.ply", "model.glb", "splats_2d.ply", "splats_3d.ply", "renders"),
+    assert {path.name for path in done.iterdir()} == {
+        *("mesh.ply", "model.glb", "environment.exr", "splats_2d.ply", "splats_3d.ply", "renders"),
         *("mirrored_light.npz", "report.json", "report.html", "log.txt", "checkpoint"),
     }
     pictures = {path.name for path in (done / "renders" / "test").iterdir()}
@@ -117,7 +116,8 @@ def test_the_report_has_its_fields(done: Path) -> None:
     assert 0 < report["gt"]["chamfer"] < 0.06 and report["gt"]["normal_consistency"] > 0.8
     assert report["seconds"]["total"] >= report["seconds"]["train"] > 0
     assert report["peak_memory_mib"] > 50 and "torch" in report["versions"]
-    assert "<html" in (done / "report.html").read_text()
+    page = (done / "report.html").read_text()
+    assert "<html" in page and page.count('alt="Textured model, ') == 6
     assert "mutual 60/60" in (done / "log.txt").read_text()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +126,18 @@ def test_textured_glb_holds_the_material(tmp_path: Path) -> None:
     assert (read.roughnessFactor, read.metallicFactor, read.doubleSided) == (0.25, 1.0, True)
     np.testing.assert_array_equal(np.asarray(read.normalTexture.convert("RGB")), np.full((4, 4, 3), (128, 128, 255)))
     np.testing.assert_array_equal(np.asarray(read.occlusionTexture.convert("L")), np.full((2, 2), 200))
+
+
+def test_a_matte_surface_has_no_gloss_in_its_file(tmp_path: Path) -> None:
+    """Check glTF's extension by its specification; without it, every dielectric mirrors 4%."""
+    mesh, uvs, tangents, material = square(np.zeros((8, 8, 3), np.uint8))
+    write_textured_glb(tmp_path / "model.glb", mesh, uvs, tangents, replace(material, metallic=0.0, glossy=False))
+    data = (tmp_path / "model.glb").read_bytes()
+    document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    assert document["extensionsUsed"] == ["KHR_materials_specular"]
+    assert document["materials"][0]["extensions"] == {"KHR_materials_specular": {"specularFactor": 0}}
+    write_textured_glb(tmp_path / "glossy.glb", mesh, uvs, tangents, material)
+    assert b"KHR_materials_specular" not in (tmp_path / "glossy.glb").read_bytes()
 
 
 def test_a_ply_tells_its_unit(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -48,3 +49,10 @@ def test_a_lamp_lies_where_openexr_has_it(
     assert (rows[bright] / 128).mean() == pytest.approx(row, abs=0.05)
     if column is not None:
         assert (columns[bright] / 256).mean() == pytest.approx(column, abs=0.01)
+
+
+def test_the_same_light_gives_the_same_bytes_at_any_time(tmp_path: Path) -> None:
+    for name in ("first.exr", "second.exr"):
+        write_radiance_map(tmp_path / name, lamp(np.array([0.0, 0, 1])), UpAxis.Y)
+        time.sleep(1.1)  # files tell the time in seconds
+    assert (tmp_path / "first.exr").read_bytes() == (tmp_path / "second.exr").read_bytes()

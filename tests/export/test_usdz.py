@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,11 @@ def test_the_package_holds_mesh_and_material(tmp_path: Path) -> None:
     np.testing.assert_allclose(points, turned, atol=1e-6)
     surface = UsdShade.Shader(stage.GetPrimAtPath("/Model/Material/Surface"))
     assert surface.GetInput("roughness").Get() == 0.25 and surface.GetInput("metallic").Get() == 1.0
+    assert not surface.GetInput("ior")
+    write_usdz(tmp_path / "matte.usdz", mesh, uvs, replace(material, metallic=0.0, glossy=False), UpAxis.Z)
+    other = Usd.Stage.Open(str(tmp_path / "matte.usdz"))
+    matte = UsdShade.Shader(other.GetPrimAtPath("/Model/Material/Surface"))
+    assert matte.GetInput("ior").Get() == 1.0  # the reflectance at normal incidence is then 0
     st = np.array(UsdGeom.PrimvarsAPI(shape).GetPrimvar("st").Get())
     np.testing.assert_allclose(st, uvs * [1, -1] + [0, 1], atol=1e-6)
 

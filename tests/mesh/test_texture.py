@@ -91,6 +91,17 @@ def test_the_light_that_gloss_tells_is_divided_out(brightness: float) -> None:
     np.testing.assert_allclose(srgb_to_linear(colors).mean(axis=0), expected, rtol=0.03)
 
 
+def test_matte_surfaces_have_the_light_that_was_divided_out() -> None:
+    shape = ball()
+    textured = texture_mesh(
+        surface(shape), views_of(shape, cameras_around(8)), 0.02, OutputConfig(texture=64), MeshConfig()
+    )
+    mean = textured.material.mean_light()
+    assert textured.material.matte and mean is not None
+    np.testing.assert_allclose(mean, 1, atol=0.02)
+    assert textured_of(shape, views_of(shape, cameras_around(4)), 64).material.light is None
+
+
 def test_nothing_is_painted_through_the_object() -> None:
     """Check that the wall behind a red ball does not become red.
 

@@ -44,6 +44,8 @@ def ready(page: Page, state: str) -> None:
     if state == "done":
         page.get_by_role("button", name="Show in 3D").click()
         expect(page.locator(".viewer[data-frames]")).to_be_visible()
+        page.get_by_role("radio", name="Lit", exact=True).check(force=True)
+        expect(page.get_by_role("slider", name="Turn the light")).to_be_visible()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -118,6 +120,22 @@ def test_the_viewer_by_keyboard(visit: Opener, addresses: dict[str, str]) -> Non
         expect(page.get_by_role("radio", name="Mesh")).to_be_focused()
         page.keyboard.press("ArrowRight")
         expect(page.locator(".viewer[data-shown=splats]")).to_be_visible()
+        page.keyboard.press("ArrowLeft")
+        page.keyboard.press("Tab")
+        page.keyboard.press("ArrowRight")
+        expect(page.get_by_role("radio", name="Lit", exact=True)).to_be_checked()
+        page.keyboard.press("Tab")
+        page.keyboard.press("Tab")
+        expect(page.get_by_role("radio", name="Own light")).to_be_focused()
+        lit = canvas.screenshot()
+        page.keyboard.press("ArrowRight")
+        page.keyboard.press("Tab")
+        slider = page.get_by_role("slider", name="Turn the light")
+        expect(slider).to_be_focused()
+        page.keyboard.press("ArrowRight")
+        expect(slider).to_have_attribute("aria-valuetext", "5 degrees")
+        page.wait_for_timeout(400)
+        assert canvas.screenshot() != lit
 
 
 def test_every_stop_of_the_keyboard_can_be_seen(visit: Opener, addresses: dict[str, str]) -> None:

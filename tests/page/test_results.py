@@ -89,6 +89,16 @@ def red(pixels: np.ndarray) -> np.ndarray:
     return red_pixels
 
 
+def sides_of(normals: np.ndarray) -> list[np.ndarray]:
+    """Return where the box shows its front and its right side, bool [H,W] each; normals [H,W,3]: that look of it."""
+    colors, counts = np.unique((normals * 255).astype(int).reshape(-1, 3), axis=0, return_counts=True)
+    largest = [color / 255 for color in colors[np.argsort(counts)[-4:]]]  # three sides and the background
+    found = [np.abs(normals - color).max(axis=2) < 0.02 for color in largest if np.ptp(color) > 0.1]
+    assert len(found) == 3
+    top = min(found, key=lambda side: np.nonzero(side)[0].mean())
+    return sorted((side for side in found if side is not top), key=lambda side: float(np.nonzero(side)[1].mean()))
+
+
 def choose(page: Page, name: str) -> None:
     page.get_by_role("radio", name=name, exact=True).check(force=True)
 
@@ -141,6 +151,46 @@ def test_every_look_of_the_surface(visit: Opener, done: str) -> None:
         background = looks["Colour"][4, 4]
         empty = np.abs(looks["Wireframe"] - background).max(axis=2)[covered] < 0.02
         assert 0.5 < empty.mean() < 0.999  # lines, and nothing between them
+
+
+def test_own_light_falls_from_where_it_came_and_turns(visit: Opener, done: str) -> None:
+    """Check a lamp between two sides of the box: it lights both alike, and neither when it is turned around."""
+    with visit(done) as page:
+        open_viewer(page)
+        choose(page, "Normals")
+        sides = sides_of(stage(page))
+        choose(page, "Lit")
+        slider = page.get_by_role("slider", name="Turn the light")
+        lights = {}
+        for degrees in (0, 90, 180, 270):
+            slider.fill(str(degrees))
+            assert slider.get_attribute("aria-valuetext") == f"{degrees} degrees"
+            lit = stage(page)
+            lights[degrees] = [float(np.median(lit[side][:, 0])) for side in sides]
+        front, right = lights[0]
+        assert min(front, right) > 0.3 and abs(front - right) < 0.05, lights
+        assert max(lights[180]) < 0.1, lights
+        # Anticlockwise, as seen from above: from between front and right to between right and back.
+        front, right = lights[90]
+        assert front < 0.1 < 0.3 < right, lights
+        front, right = lights[270]
+        assert right < 0.1 < 0.3 < front, lights
+
+
+def test_the_studio_lights_every_side(visit: Opener, done: str) -> None:
+    with visit(done) as page:
+        open_viewer(page)
+        expect(page.get_by_role("slider", name="Turn the light")).to_be_hidden()
+        choose(page, "Normals")
+        sides = sides_of(stage(page))
+        choose(page, "Lit")
+        choose(page, "Studio light")
+        first = stage(page)
+        assert all(np.median(first[side][:, 0]) > 0.4 for side in sides)
+        page.get_by_role("slider", name="Turn the light").fill("120")
+        assert np.abs(stage(page) - first).mean() > 0.005
+        choose(page, "Splats")
+        expect(page.get_by_role("slider", name="Turn the light")).to_be_hidden()
 
 
 def test_orbit_by_mouse_and_back(visit: Opener, done: str) -> None:

@@ -59,7 +59,7 @@ def surface() -> SurfacePictures:
 
 
 def full_page() -> str:
-    return report_page(sample_report(), replace(sample_pictures(), surface=surface()))
+    return report_page(sample_report(), replace(sample_pictures(), surface=surface(), relit=surface().shaded))
 
 
 def test_tags_close_and_ids_are_unique() -> None:
@@ -123,6 +123,16 @@ def test_a_view_under_a_flash_shows_even_light_in_two_rows() -> None:
     page = report_page(sample_report(), ReportPictures([view]))
     assert "even light, no flash" in page and 'class="row four hero"' in page
     assert "even light" not in report_page(sample_report(), ReportPictures([replace(view, unlit=None)]))
+
+
+def test_the_model_in_new_light_has_a_row_where_there_is_one() -> None:
+    lights = [Picture(f"{angle}°", np.zeros((8, 8, 4), np.uint8)) for angle in range(0, 360, 60)]
+    page = read(report_page(sample_report(), replace(sample_pictures(), relit=lights)))
+    shown = [attributes["alt"] for tag, attributes in page.attributes if tag == "img"]
+    assert [f"Textured model, {angle}°" in shown for angle in range(0, 360, 60)] == [True] * 6
+    assert (
+        "In new light" in page.text and "In new light" not in read(report_page(sample_report(), ReportPictures())).text
+    )
 
 
 def test_eight_test_views_and_the_surface_stay_under_four_megabytes() -> None:

@@ -16,7 +16,7 @@ UP, FRONT = np.array((0.0, 0.0, 1.0)), np.array((0.0, -3.0, 0.5))
 
 def test_the_outline_is_the_balls() -> None:
     painter = MeshPainter(ball())
-    camera = side_camera(painter, UP, FRONT, 0.0, 96)
+    camera = side_camera(ball().vertices, UP, FRONT, 0.0, 96)
     picture = painter.shaded(camera)
     tangent = 1 / np.sqrt(np.linalg.norm(camera.center) ** 2 - 1)
     disc = np.pi * (camera.K[0, 0] * tangent) ** 2
@@ -25,7 +25,7 @@ def test_the_outline_is_the_balls() -> None:
 
 
 def test_light_comes_from_above() -> None:
-    picture = MeshPainter(ball()).shaded(side_camera(MeshPainter(ball()), UP, FRONT, 0.0, 64)).astype(int)
+    picture = MeshPainter(ball()).shaded(side_camera(ball().vertices, UP, FRONT, 0.0, 64)).astype(int)
     assert picture[18, 32, :3].sum() > picture[46, 32, :3].sum() + 60
 
 
@@ -40,7 +40,7 @@ def test_what_is_hidden_is_dark_without_grain(monkeypatch: pytest.MonkeyPatch) -
     up = np.broadcast_to(UP, corners.shape)
     mesh = PaintedMesh(vertices, np.concatenate([ball().faces, plate]))
     painter = MeshPainter(mesh.with_normals(np.concatenate([ball().normals, up])))
-    camera = side_camera(painter, UP, FRONT, 0.0, 256)
+    camera = side_camera(ball().vertices, UP, FRONT, 0.0, 256)
     quick = painter.shaded(camera).astype(float)
     monkeypatch.setattr("mgsr.report.shading.OCCLUSION_SPREAD", 0)
     grainy = painter.shaded(camera).astype(float)
@@ -52,8 +52,7 @@ def test_what_is_hidden_is_dark_without_grain(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_the_first_side_faces_the_viewer_and_up_is_up() -> None:
-    painter = MeshPainter(ball())
-    camera = side_camera(painter, UP, FRONT, 0.0, 64)
+    camera = side_camera(ball().vertices, UP, FRONT, 0.0, 64)
     # The ball of facets is not quite even, so its box's middle lies a little off the origin.
     assert camera.center[1] < -1 and abs(camera.center[0]) < 0.01
     pixels, depths = camera.project(np.array([[0, 0, 0], [0, 0, 0.5], [0.5, 0, 0]], float))
@@ -65,7 +64,7 @@ def test_the_first_side_faces_the_viewer_and_up_is_up() -> None:
 def test_distance_colours_follow_the_distance() -> None:
     """Check that a ball 1% too large lies everywhere in the middle of a scale that ends at 2%."""
     painter = MeshPainter(ball(1.01, 64))
-    look = painter.look(side_camera(painter, UP, FRONT, 0.0, 48))
+    look = painter.look(side_camera(ball().vertices, UP, FRONT, 0.0, 48))
     lit = look.distances(ball(1.0, 64), 0.02)[24, 24, :3] / 255
     color = lit / lit.max()
     middle = ramp(np.array(0.5))
@@ -83,7 +82,7 @@ def test_four_sides_of_each_kind_and_the_same_twice() -> None:
 
 
 def test_large_photographs_do_not_make_large_pictures() -> None:
-    camera = side_camera(MeshPainter(ball()), UP, FRONT, 0.0, 64).resized(2400, 1200)
+    camera = side_camera(ball().vertices, UP, FRONT, 0.0, 64).resized(2400, 1200)
     assert MeshPainter(ball(rings=8)).shaded(camera).shape == (256, 512, 4)
 
 
@@ -95,8 +94,7 @@ def test_a_camera_that_sees_nothing_gets_an_empty_picture() -> None:
 
 
 def test_up_is_where_the_cameras_have_it() -> None:
-    painter = MeshPainter(ball())
-    cameras = [side_camera(painter, UP, FRONT, angle, 8) for angle in (0.0, 90.0, 180.0, 270.0)]
+    cameras = [side_camera(ball().vertices, UP, FRONT, angle, 8) for angle in (0.0, 90.0, 180.0, 270.0)]
     assert np.array_equal(up_direction(cameras), UP)
 
 

@@ -8,7 +8,7 @@ import trimesh
 from mgsr.config.expert import StaticLightOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.ambient_occlusion import trace_hemispheres
-from mgsr.shading.static_light import static_irradiance
+from mgsr.shading.static_light import fit_static_light
 
 GAP = 0.01
 
@@ -24,13 +24,13 @@ def ball_with_patches() -> tuple[Mesh, np.ndarray]:
 def test_light_from_one_side_is_told_from_patches() -> None:
     mesh, albedo = ball_with_patches()
     truth = 1 + 0.8 * mesh.normals.astype(float) @ np.array([[0.6], [0.0], [0.8]])
-    irradiance = static_irradiance(mesh, albedo * truth, trace_hemispheres(mesh, GAP))
+    irradiance = fit_static_light(mesh, albedo * truth, trace_hemispheres(mesh, GAP)).irradiance
     np.testing.assert_allclose(irradiance / irradiance.mean(axis=0), truth / truth.mean() * np.ones(3), atol=0.12)
 
 
 def test_patches_under_even_light_are_no_shading() -> None:
     mesh, albedo = ball_with_patches()
-    irradiance = static_irradiance(mesh, albedo, trace_hemispheres(mesh, GAP))
+    irradiance = fit_static_light(mesh, albedo, trace_hemispheres(mesh, GAP)).irradiance
     np.testing.assert_allclose(irradiance, 1, atol=0.03)
 
 
@@ -38,7 +38,7 @@ def test_a_light_that_explains_too_little_is_even() -> None:
     mesh, albedo = ball_with_patches()
     sent = albedo * (1 + 0.8 * mesh.normals.astype(float) @ np.array([[0.6], [0.0], [0.8]]))
     demanding = StaticLightOptions(min_gain=1.0)
-    irradiance = static_irradiance(mesh, sent, trace_hemispheres(mesh, GAP), options=demanding)
+    irradiance = fit_static_light(mesh, sent, trace_hemispheres(mesh, GAP), options=demanding).irradiance
     np.testing.assert_allclose(irradiance, 1, atol=0.03)
 
 
@@ -51,6 +51,26 @@ def test_a_bowl_lights_itself() -> None:
     bowl = trimesh.Trimesh(whole.vertices, whole.faces[whole.triangles_center[:, 2] < 0][:, ::-1])
     mesh = Mesh(np.asarray(bowl.vertices), np.asarray(bowl.faces))
     sent = np.full((len(mesh.vertices), 3), albedo / (2 - albedo))
-    irradiance = static_irradiance(mesh, sent, trace_hemispheres(mesh, GAP))
+    irradiance = fit_static_light(mesh, sent, trace_hemispheres(mesh, GAP)).irradiance
     deep = mesh.vertices[:, 2] < -0.2
     np.testing.assert_allclose((sent / irradiance)[deep].mean(), albedo, rtol=0.04)
+
+
+def test_the_environment_is_nowhere_negative_and_lights_alike() -> None:
+    """Check light from one side against the irradiance that the environment's cells give, summed up one by one."""
+    mesh, albedo = ball_with_patches()
+    truth = 1 + 0.95 * mesh.normals.astype(float) @ np.array([[0.6], [0.0], [0.8]])
+    light = fit_static_light(mesh, albedo * truth, trace_hemispheres(mesh, GAP))
+    height = 16
+    sky = light.environment(height)
+    assert sky.shape == (height, 2 * height, 3) and sky.min() >= 0
+    polar, azimuth = np.meshgrid(
+        (np.arange(height) + 0.5) / height * np.pi, (np.arange(2 * height) + 0.5) / height * np.pi, indexing="ij"
+    )
+    flat = np.sin(polar)
+    cells = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.cos(polar)], axis=-1).reshape(-1, 3)
+    solid = flat.ravel() * (np.pi / height) ** 2
+    cosines = np.maximum(mesh.normals @ cells.T, 0)
+    irradiance = (cosines * solid) @ sky.reshape(-1, 3) / np.pi
+    darkest = StaticLightOptions().darkest
+    np.testing.assert_allclose(np.maximum(irradiance, darkest), light.irradiance, atol=0.05)

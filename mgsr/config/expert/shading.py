@@ -242,6 +242,9 @@ class StaticLightOptions(Options):
     min_change: NotNegative = 0.01  # change of the log brightness, root mean square, that a light must explain
     darkest: Annotated[float, Range(0, 1, open=True)] = 0.1  # least irradiance, so that dark places keep their noise
     evaluations: Count = 15  # most evaluations of the fit
+    height: Annotated[int, Range(4)] = 16  # cells of environment.exr's light along a meridian, where nothing mirrors it
+    freedom: Annotated[float, Range(0, 1, open=True)] = 0.05  # cost of a change of that light's radiance against one of
+    # its harmonics; the harmonics of low degree, which matte surfaces show, are negative in places
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,12 @@
 // The mesh of a GLB as MGSR writes it: one node, one material with its maps.
 
 import { DirectionalLight, DoubleSide, Group, HemisphereLight, Mesh, MeshBasicMaterial, MeshNormalMaterial, TextureLoader } from "three";
-import { MeshStandardMaterial, type Material, type Object3D, type Quaternion, type Sphere, type Texture, type Vector3 } from "three";
+import { MeshStandardMaterial, type Material, type Object3D, type Quaternion, type Sphere, type Vector3 } from "three";
 import { GLTFLoader, type GLTFLoaderPlugin, type GLTFParser } from "three/addons/loaders/GLTFLoader.js";
+import type { Environment } from "./lighting";
 
-/** colour: as it is, without lights; clay: grey under lights, for the shape. */
-export type Surface = "colour" | "clay" | "normals" | "wireframe";
+/** colour: as it is, without lights; lit: the material in an environment; clay: grey under lights, for the shape. */
+export type Surface = "colour" | "lit" | "clay" | "normals" | "wireframe";
 
 /** How the cameras' frame lies in the scene: turned, then moved by `shift`. */
 export interface Placement {
@@ -16,22 +17,24 @@ export interface Placement {
 export class MeshObject {
   readonly object = new Group();
   readonly bounds: Sphere;
+  private readonly own: MeshStandardMaterial;
   private readonly materials: Record<Surface, Material>;
-  private readonly maps: (Texture | null)[];
+  private readonly lamps = new Group().add(new HemisphereLight(0xffffff, 0x8d8a85, 1.6), keyLight());
 
   constructor(
     private readonly mesh: Mesh,
     readonly placement: Placement,
   ) {
-    const { map, normalMap } = mesh.material as MeshStandardMaterial;
-    this.maps = [map, normalMap];
+    this.own = mesh.material as MeshStandardMaterial;
+    const { map, normalMap } = this.own;
     this.materials = {
       colour: new MeshBasicMaterial({ map, side: DoubleSide }),
+      lit: this.own,
       clay: new MeshStandardMaterial({ color: 0xb9b6b0, roughness: 0.75, normalMap, side: DoubleSide }),
       normals: new MeshNormalMaterial({ normalMap, side: DoubleSide }),
       wireframe: new MeshBasicMaterial({ color: 0x3a86c8, wireframe: true }),
     };
-    this.object.add(mesh, new HemisphereLight(0xffffff, 0x8d8a85, 1.6), keyLight());
+    this.object.add(mesh, this.lamps);
     mesh.geometry.computeBoundingSphere();
     mesh.updateWorldMatrix(true, false);
     this.bounds = mesh.geometry.boundingSphere!.clone().applyMatrix4(mesh.matrixWorld);
@@ -40,12 +43,20 @@ export class MeshObject {
   /** Draw the surface so. */
   show(surface: Surface): void {
     this.mesh.material = this.materials[surface];
+    this.lamps.visible = surface === "clay";
+  }
+
+  /** Put the material into an environment. */
+  light({ map, angle }: Environment): void {
+    this.own.envMap = map;
+    this.own.envMapRotation.y = angle;
+    this.own.needsUpdate = true;
   }
 
   dispose(): void {
     this.mesh.geometry.dispose();
     for (const material of Object.values(this.materials)) material.dispose();
-    for (const map of this.maps) map?.dispose();
+    for (const map of [this.own.map, this.own.normalMap, this.own.aoMap]) map?.dispose();
   }
 }
 

@@ -1,7 +1,9 @@
 // Shows a mesh and splats from the same place: either, or both side by side with a divider to move.
 
 import { Scene, Sphere, Vector3, WebGLRenderer } from "three";
-import { h, newId } from "../parts/dom";
+import { h } from "../parts/dom";
+import { radios } from "../parts/radios";
+import { Lighting } from "./lighting";
 import { loadMesh, type MeshObject, type Surface } from "./mesh";
 import { OrbitView } from "./orbit";
 import { loadSplats, type SplatObject } from "./splats";
@@ -9,16 +11,23 @@ import { loadSplats, type SplatObject } from "./splats";
 export type Shown = "mesh" | "splats" | "both";
 
 const SHOWN: Record<Shown, string> = { mesh: "Mesh", splats: "Splats", both: "Side by side" };
-const SURFACES: Record<Surface, string> = { colour: "Colour", clay: "Clay", normals: "Normals", wireframe: "Wireframe" };
+const SURFACES: Record<Surface, string> = { colour: "Colour", lit: "Lit", clay: "Clay", normals: "Normals", wireframe: "Wireframe" };
 const HINT = "Turn: drag or arrow keys. Zoom: wheel, pinch, plus or minus. Move: right button, two fingers, or Shift and arrow keys. Reset: Home.";
 const FIRST_DIRECTION = new Vector3(0.55, 0.4, 1).normalize();
 
-/** A viewer of a mesh (GLB) and of splats (PLY, in the frame that the GLB's node turns; null for none). Throws where
- * a file can't be read or the browser has no WebGL 2. */
-export async function openViewer(mesh: ArrayBuffer, splats: ArrayBuffer | null): Promise<Viewer> {
+/** The contents of a job's files; null for what it does not have. mesh: GLB. splats: PLY, in the frame that the GLB's
+ * node turns. environment: EXR, in the frame that it turns to. */
+export interface Files {
+  mesh: ArrayBuffer;
+  splats: ArrayBuffer | null;
+  environment: ArrayBuffer | null;
+}
+
+/** A viewer of a mesh and of splats. Throws where a file can't be read or the browser has no WebGL 2. */
+export async function openViewer({ mesh, splats, environment }: Files): Promise<Viewer> {
   const renderer = new WebGLRenderer({ antialias: true, alpha: true });
   const surface = await loadMesh(mesh);
-  return new Viewer(renderer, surface, splats);
+  return new Viewer(renderer, surface, splats, environment);
 }
 
 export class Viewer extends OrbitView {
@@ -28,15 +37,19 @@ export class Viewer extends OrbitView {
   private readonly divider = h("input", { type: "range", min: 0, max: 100, value: 50, "aria-label": "Divider between mesh and splats", class: "divider" });
   private readonly line = h("div", { class: "line" });
   private splats: SplatObject | null = null;
+  private readonly lighting: Lighting;
   private shown: Shown = "mesh";
+  private surface: Surface = "colour";
 
   constructor(
     renderer: WebGLRenderer,
     private readonly mesh: MeshObject,
     splatFile: ArrayBuffer | null,
+    environment: ArrayBuffer | null,
   ) {
     super(renderer, "3D view", HINT, mesh.bounds.radius);
-    this.element = h("div", { class: "viewer" }, this.stage(), this.toolbar(splatFile), this.hint);
+    this.lighting = new Lighting(renderer, environment, () => this.setSurface(this.surface));
+    this.element = h("div", { class: "viewer" }, this.stage(), this.toolbar(splatFile), this.lighting.element, this.hint);
     this.meshScene.add(mesh.object);
     this.watch();
     this.setSurface("colour");
@@ -82,12 +95,19 @@ export class Viewer extends OrbitView {
     this.shown = shown;
     this.element.dataset["shown"] = shown;
     this.divider.hidden = this.line.hidden = shown !== "both";
-    this.draw();
+    this.refresh();
   }
 
   private setSurface(surface: Surface): void {
+    this.surface = surface;
     this.mesh.show(surface);
+    if (surface === "lit") this.mesh.light(this.lighting.environment());
     this.element.dataset["surface"] = surface;
+    this.refresh();
+  }
+
+  private refresh(): void {
+    this.lighting.element.hidden = this.surface !== "lit" || this.shown === "splats";
     this.draw();
   }
 
@@ -115,14 +135,4 @@ export class Viewer extends OrbitView {
     this.renderer.setScissor(left, 0, width, height);
     this.renderer.render(scene, this.camera);
   }
-}
-
-/** A row of radio buttons. */
-function radios<T extends string>(legend: string, choices: Partial<Record<T, string>>, chosen: T, change: (value: T) => void): HTMLElement {
-  const name = newId();
-  const inputs = (Object.entries(choices) as [T, string][]).map(([value, label]) => {
-    const input = h("input", { type: "radio", name, value, checked: value === chosen, onchange: () => change(value) });
-    return h("label", {}, input, h("span", {}, label));
-  });
-  return h("fieldset", { class: "segmented" }, h("legend", {}, legend), ...inputs);
 }

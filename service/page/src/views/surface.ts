@@ -41,10 +41,11 @@ export class SurfaceSection {
     const splats = this.find(...SPLATS);
     if (mesh === undefined) return this.stage.replaceChildren(h("p", { class: "note" }, "The job has no model."));
     const state = h("span", {}, "Show in 3D");
-    const size = h("span", { class: "note" }, bytes(mesh.size + (splats?.size ?? 0)));
+    const environment = this.find("environment.exr");
+    const size = h("span", { class: "note" }, bytes(mesh.size + (splats?.size ?? 0) + (environment?.size ?? 0)));
     const button = h("button", { type: "button", class: "main" }, state);
     const progress = (share: number) => setText(state, share < 1 ? `Loading ${percent(share)}` : "Preparing");
-    onPress(button, () => this.open(mesh, splats, progress));
+    onPress(button, () => this.open([mesh, splats, environment], progress));
     this.stage.replaceChildren(h("div", { class: "invite" }, button, size));
     void this.addPoster();
   }
@@ -59,19 +60,21 @@ export class SurfaceSection {
     this.stage.prepend(image);
   }
 
-  private async open(mesh: Artifact, splats: Artifact | undefined, progress: (share: number) => void): Promise<void> {
-    const wanted = splats === undefined ? [mesh] : [mesh, splats];
-    const whole = wanted.reduce((sum, { size }) => sum + size, 0);
-    const shares = wanted.map(() => 0);
-    const load = (artifact: Artifact, i: number) =>
-      this.service.file(this.job.id, artifact, (share) => {
-        shares[i] = share * artifact.size;
-        progress(shares.reduce((sum, value) => sum + value, 0) / whole);
+  /** Load model, splats and environment, and show them. */
+  private async open(wanted: (Artifact | undefined)[], progress: (share: number) => void): Promise<void> {
+    const whole = wanted.reduce((sum, artifact) => sum + (artifact?.size ?? 0), 0);
+    const received = wanted.map(() => 0);
+    const load = async (artifact: Artifact | undefined, i: number): Promise<ArrayBuffer | null> => {
+      if (artifact === undefined) return null;
+      const file = await this.service.file(this.job.id, artifact, (share) => {
+        received[i] = share * artifact.size;
+        progress(received.reduce((sum, value) => sum + value, 0) / whole);
       });
+      return file.arrayBuffer();
+    };
     try {
-      const [module, ...files] = await Promise.all([import("../viewer/viewer"), ...wanted.map(load)]);
-      const [meshFile, splatFile] = await Promise.all(files.map((file) => file.arrayBuffer()));
-      const viewer = await module.openViewer(meshFile!, splatFile ?? null);
+      const [module, mesh, splats, environment] = await Promise.all([import("../viewer/viewer"), ...wanted.map(load)]);
+      const viewer = await module.openViewer({ mesh: mesh!, splats: splats ?? null, environment: environment ?? null });
       if (this.left) return viewer.leave();
       this.viewer = viewer;
       this.stage.replaceWith(viewer.element);

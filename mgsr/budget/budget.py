@@ -101,9 +101,8 @@ class TimeBudget:
             if smaller.pixels < self.options.min_pixels and self.scale is not None:
                 break
             self.scale = scale
-            before = self.options.start_reserve * costs.start_cost(smaller, self.stereo_pixels) + reference_training(
-                smaller, draft
-            )
+            start = self.options.start_reserve * costs.start_cost(smaller, self.stereo_pixels)
+            before = start + reference_training(smaller, draft)
             if self.spent + self.slowness * before + self._after(smaller, draft.mesh) <= self._aim:
                 break
         assert self.scale is not None

@@ -117,6 +117,12 @@ def _tile(alt: str, caption: str, pixels: np.ndarray, side: int) -> str:
     )
 
 
+def _row(what: str, pictures: Sequence[Picture], side: int, columns: str) -> str:
+    """Return pictures side by side; `what`, before a picture's caption, is its alternative text."""
+    tiles = (_tile(f"{what} {each.caption}", each.caption, each.pixels, side) for each in pictures)
+    return f'<div class="row {columns}">{"".join(tiles)}</div>'
+
+
 def _image(alt: str, pixels: np.ndarray, side: int, attributes: str = "") -> str:
     height, width = pixels.shape[:2]
     return (
@@ -169,25 +175,23 @@ def _light_split(views: Sequence[TestViewPictures]) -> str:
 def _object_masks(pictures: Sequence[Picture]) -> str:
     if not pictures:
         return ""
-    tiles = (_tile(f"Mask of {each.caption}", each.caption, each.pixels, TILE_SIDE) for each in pictures)
     return (
         "<section><h2>The object that was found</h2><p>The capture has no masks, so MGSR found the object itself. Grey "
         "is what it left out. The figure under a photograph says how well its mask agrees with the other "
         "photographs&rsquo; masks; the photographs range from the worst to the best. To correct a mask, edit its file "
         "in <code>masks/</code>, put the folder beside the photographs, and run again.</p>"
-        f'<div class="row three">{"".join(tiles)}</div></section>'
+        f"{_row('Mask of', pictures, TILE_SIDE, 'three')}</section>"
     )
 
 
 def _environment_map(pictures: Sequence[Picture]) -> str:
     if not pictures:
         return ""
-    tiles = (_tile(f"Environment map, {each.caption}", each.caption, each.pixels, HERO_SIDE) for each in pictures)
     return (
         "<section><h2>The environment map</h2><p>This is the light that the surface reflects. MGSR learned it from "
         "the highlights, which move over the surface between photographs. All splats share it, so highlights are "
-        "right from new viewpoints as well. The picture is brightened until its brightest pixel is white.</p><div "
-        f'class="row environment">{"".join(tiles)}</div></section>'
+        "right from new viewpoints as well. The picture is brightened until its brightest pixel is white.</p>"
+        f"{_row('Environment map,', pictures, HERO_SIDE, 'environment')}</section>"
     )
 
 
@@ -230,11 +234,10 @@ def _surface(data: ReportData, surface: SurfacePictures) -> str:
 def _relit(pictures: Sequence[Picture]) -> str:
     if not pictures:
         return ""
-    tiles = (_tile(f"Textured model, {each.caption}", each.caption, each.pixels, TILE_SIDE) for each in pictures)
     return (
         "<section><h2>In new light</h2><p>The textured model, <code>model.glb</code>, in a studio that turns around "
         "it. The photographs&rsquo; light is divided out of its colours as far as it is known; what is left of it does "
-        f'not turn with the studio.</p><div class="row {COLUMNS[len(pictures)]}">{"".join(tiles)}</div></section>'
+        f"not turn with the studio.</p>{_row('Textured model,', pictures, TILE_SIDE, COLUMNS[len(pictures)])}</section>"
     )
 
 
@@ -253,8 +256,7 @@ def _counted(count: int, thing: str) -> str:
 
 
 def _sides(kind: str, pictures: Sequence[Picture]) -> str:
-    tiles = (_tile(f"Mesh, {kind}, {each.caption}", each.caption, each.pixels, TILE_SIDE) for each in pictures)
-    return f'<div class="row {COLUMNS[min(len(pictures), 6)]}">{"".join(tiles)}</div>'
+    return _row(f"Mesh, {kind},", pictures, TILE_SIDE, COLUMNS[min(len(pictures), 6)])
 
 
 def _distance_legend(limit: float) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mgsr.config.expert import SceneStereoOptions
-from mgsr.data.camera import Camera
+from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.scene import PointCloud, View
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.parallel import map_ahead
@@ -29,15 +29,10 @@ def scene_points(
     found: the `scene_depths` of these views, or of the same views at another exposure.
     """
     photographs = scene_photographs(views, options)
-    spacing = options.spacing * _pixel_at_center(found.cameras)
+    spacing = options.spacing * pixel_size(found.cameras, np.zeros(3))
     points = _confirmed_points(photographs, found, spacing, options.min_in_cell)
     filled = _filled_points(photographs, found, options)
     return points.joined(_apart(filled, points, options.spacing_filled))
-
-
-def _pixel_at_center(cameras: Sequence[Camera]) -> float:
-    """Return the size of a pixel at the scene's centre, in the scene's unit: the median over the cameras."""
-    return float(np.median([np.linalg.norm(camera.center) / camera.K[0, 0] for camera in cameras]))
 
 
 def _confirmed_points(photographs: StereoPhotographs, found: DepthMaps, spacing: float, least: int) -> PointCloud:

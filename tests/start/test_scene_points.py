@@ -40,7 +40,7 @@ def matte() -> list[View]:
 
 @pytest.fixture(scope="module")
 def fewer() -> list[View]:
-    return unmasked(photographs(True, 0.0, cameras_around(32, side=160)))
+    return unmasked(photographs(True, 0.0, cameras_around(24, side=112)))
 
 
 @pytest.fixture(scope="module")
@@ -51,12 +51,12 @@ def found(fewer: list[View]) -> PointCloud:
 def test_points_lie_on_the_ball_and_all_around_it(found: PointCloud) -> None:
     assert len(found.positions) > 5000
     off = heights(found.positions)[found.positions[:, 2] < CAP - 0.1]  # a bowl is pressed into the cap
-    # Planes are 0.03 apart. Windows that see the ball's edge beside it must not put the background there.
-    assert abs(np.median(off)) < 0.025 and np.percentile(np.abs(off), 90) < 0.045 and np.percentile(off, 90) < 0.01
+    # A pixel is 0.02 wide there. Patches that see the ball's edge beside it must not put the background there.
+    assert abs(np.median(off)) < 0.006 and np.percentile(np.abs(off), 90) < 0.009 and np.percentile(off, 99) < 0.01
     directions = found.positions / np.linalg.norm(found.positions, axis=1, keepdims=True)
     around = np.random.default_rng(0).normal(size=(500, 3))
     around /= np.linalg.norm(around, axis=1, keepdims=True)
-    assert ((directions @ around.T).max(axis=0) > np.cos(np.radians(10))).mean() > 0.9
+    assert ((directions @ around.T).max(axis=0) > np.cos(np.radians(10))).mean() > 0.98
 
 
 def test_colors_are_the_photographs(found: PointCloud, fewer: list[View]) -> None:

@@ -56,11 +56,12 @@ class SceneStereoOptions(Options):
     """
 
     max_pixels: Count = 2_200_000  # of all photographs together; larger photographs are reduced
-    coarser: Annotated[float, Range(0, 1, open=True)] = 0.5  # of the sides of these, where the search begins
+    coarser: Annotated[float, Range(0, 1, open=True)] = 0.5  # of the sides of these, where the search begins and
+    # gaps are filled
     nearest: Positive = 0.15  # ball radii; least camera z of the search
     farthest: Positive = 40.0  # ball radii; largest camera z of the search; must exceed nearest
-    noise: Positive = 0.003  # sRGB 0..1; of expert.stereo.match.settings, lower because walls have little contrast
-    rounds: WholeNumber = 4  # of the search; of expert.stereo.match.settings
+    noise: Positive = 0.003  # sRGB 0..1; replaces that of expert.stereo.match.settings, as walls have little contrast
+    rounds: WholeNumber = 4  # of the search; replaces those of expert.stereo.match.settings
     max_angle: Angle = 75.0  # degrees; views at a larger angle are no neighbours and confirm nothing
     confirming_views: Count = 16  # nearest views that may confirm a depth
     spacing: Positive = 1.5  # pixels, contracted outside the ball; cell size for thinning points

@@ -19,7 +19,7 @@ from mgsr.mesh.steps.step import rendered_pixels, surface_cells
 
 USUAL_PIXELS = 256 * 256
 GROWN = 0.15  # Gaussians added by error-driven growth, per pixel of a view
-STEREO = 9.0  # a megapixel that stereo searches in all photographs together
+STEREO = 18.5  # a megapixel that stereo searches in all photographs together
 FILLED = 0.1  # a view, to continue depths over what has no contrast
 STEREO_POINTS = 0.034  # starting points, per pixel that stereo searches
 ROUNDS, FLASH_ROUNDS = 3, 10  # of refining the surface, that long

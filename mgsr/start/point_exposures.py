@@ -8,6 +8,7 @@ hidden points count little.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,34 +31,87 @@ def point_exposures(
     face away from a view; None: unknown. The training views alone determine the points' radiance, and the geometric
     mean of their exposures is 1. Returns None if any view shows too few of the points.
     """
-    some = slice(None, None, max(1, -(-len(positions) // options.points)))
-    seen = _log_light([*train, *test], positions[some], None if normals is None else normals[some], options)
-    shared = np.isfinite(seen[: len(train), :, 0]).sum(axis=0) >= options.shared
-    seen = seen[:, shared]
-    seen = seen[:, :: max(1, -(-seen.shape[0] * seen.shape[1] // options.max_observations))]
+    seen = _observations([*train, *test], len(train), positions, normals, options).log_light
     if (np.isfinite(seen[..., 0]).sum(axis=1) < options.min_points).any():
         return None
-    fitted = [_fit(seen[..., channel], len(train), options) for channel in range(3)]
-    exposures: np.ndarray = np.exp(np.stack(fitted, axis=1))
+    exposures: np.ndarray = np.exp(_fitted(seen, len(train), options))
     return exposures
 
 
-def _log_light(
-    views: Sequence[View], positions: np.ndarray, normals: np.ndarray | None, options: PointExposureOptions
-) -> np.ndarray:
-    """Return the log of the linear light [V,P,3] that the views show of points [P,3]; NaN where unusable.
+def exposure_gain(
+    views: Sequence[View],
+    positions: np.ndarray,
+    normals: np.ndarray | None,
+    options: PointExposureOptions = PointExposureOptions(),
+) -> float | None:
+    """Return by how much exposures explain observations to which they were not fitted, in dB.
+
+    The exposures of each view are fitted to the points in one half of its image, and tested on those in the other half.
+    The result compares the median absolute deviations from the points' radiance without and with these exposures. It is
+    negative where all exposures are equal. The arguments are those of `point_exposures`. Returns None if any half shows
+    too few of the points.
+    """
+    found = _observations(views, len(views), positions, normals, options)
+    seen, left = found.log_light, found.left[..., None]
+    halves = [np.where(half, seen, np.nan) for half in (left, ~left)]
+    if any((np.isfinite(half[..., 0]).sum(axis=1) < options.min_points).any() for half in halves):
+        return None
+    of_left, of_right = (_fitted(half, len(views), options)[:, None] for half in halves)
+    before, after = _deviation(seen), _deviation(seen - np.where(left, of_right, of_left))
+    return float(20 * np.log10(max(before, 1e-9) / max(after, 1e-9)))
+
+
+@dataclass(frozen=True)
+class _Observations:
+    """What views show of points.
+
+    log_light [V,P,3] float32: the log of linear light; NaN where unusable. left [V,P] bool: whether the point is in the
+    left half of those that the view shows.
+    """
+
+    log_light: np.ndarray
+    left: np.ndarray
+
+
+def _observations(
+    views: Sequence[View],
+    train: int,
+    positions: np.ndarray,
+    normals: np.ndarray | None,
+    options: PointExposureOptions,
+) -> _Observations:
+    """Return what the views show of some of the points [P,3], those that enough of the first `train` views show.
 
     normals [P,3]: unit, or None.
     """
+    some = slice(None, None, max(1, -(-len(positions) // options.points)))
+    positions, normals = positions[some], None if normals is None else normals[some]
     light = np.full((len(views), len(positions), 3), np.nan, np.float32)
+    left = np.zeros(light.shape[:2], bool)
     table = np.log(srgb_to_linear(np.arange(1, 256) / 255))
     side = int(np.sqrt(len(positions)) * options.cells) + 1
-    for view, row in zip(views, light, strict=True):
+    for view, row, half in zip(views, light, left, strict=True):
         index, rows, columns = seen_pixels(view, positions, normals, options.behind, side, options.min_cosine)
         values = view.image[rows, columns]
         good = ((values >= options.dark) & (values < options.clipped)).all(axis=1)
         row[index[good]] = table[values[good].astype(np.intp) - 1]
-    return light
+        if good.any():
+            half[index[good]] = columns[good] < np.median(columns[good])
+    shared = np.flatnonzero(np.isfinite(light[:train, :, 0]).sum(axis=0) >= options.shared)
+    shared = shared[:: max(1, -(-len(views) * len(shared) // options.max_observations))]
+    return _Observations(light[:, shared], left[:, shared])
+
+
+def _deviation(log_light: np.ndarray) -> float:
+    """Return the median absolute deviation of log light [V,P,3] from each point's median; NaN entries are left out."""
+    flat = log_light.transpose(1, 2, 0).reshape(-1, len(log_light))
+    return float(np.nanmedian(np.abs(flat - np.nanmedian(flat, axis=1, keepdims=True))))
+
+
+def _fitted(log_light: np.ndarray, train: int, options: PointExposureOptions) -> np.ndarray:
+    """Fit the log exposures [V,3] to log light [V,P,3]; NaN where a view does not show a point."""
+    channels = np.moveaxis(log_light, -1, 0)
+    return np.stack([_fit(channel, train, options) for channel in channels], axis=1)
 
 
 def _fit(seen: np.ndarray, train: int, options: PointExposureOptions) -> np.ndarray:

@@ -1,7 +1,8 @@
-"""Exposure differences between photographs, estimated with a small 3D branch that is trained for it.
+"""Exposure differences between photographs.
 
-Matte surfaces, as in photographs of a whole room, look the same from all sides. There, the starting points give more
-exact factors than the branch (see `point_exposures`).
+In photographs of a whole room, most surfaces look the same from all sides. There, the starting points tell whether
+exposures differ, and by what factors (see `point_exposures`). Around an object with masks, a small 3D branch is trained
+for it. Where the object is matte, the points give the more exact factors there too.
 
 The branch can't reproduce the exposure factor of a held-out view. A factor is therefore fitted to one half of each
 held-out view and tested on the other half: if it improves that half too, exposures differ. The branch explains a flash
@@ -22,7 +23,7 @@ from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.data.scene import Exposures, Scene, View
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.parallel import one_torch_thread
-from mgsr.start.point_exposures import point_exposures
+from mgsr.start.point_exposures import exposure_gain, point_exposures
 from mgsr.start.points import StartingPoints
 from mgsr.training.evaluate import gaussian_picture
 from mgsr.training.proxy_model import small_view, train_proxy_model
@@ -50,12 +51,17 @@ def find_exposures(
     if brightness_jumps(scene.train, scene.options.brightness) < options.min_jump:
         return None
     degrees, small = (0, options.degree), [small_view(view, options.proxy.side) for view in scene.train]
+    tests = [small_view(view, options.proxy.side) for view in scene.test]
+    if not scene.masked and start.surface is None:
+        gain = exposure_gain(small, start.positions, start.normals, expert.start.exposures)
+        told = point_exposures(small, tests, start.positions, start.normals, expert.start.exposures)
+        if gain is not None and told is not None:
+            return _rounded(told, len(small)) if gain >= options.min_gain else None
     with one_torch_thread():
         errors = {degree: _kept_errors(scene, start, small, degree, seed, should_stop, options) for degree in degrees}
         degree = min(degrees, key=lambda each: float(errors[each][1]))
         if errors[degree][0] - errors[degree][1] < options.min_gain:
             return None
-        tests = [small_view(view, options.proxy.side) for view in scene.test]
         if degree == 0 or not scene.masked:
             told = point_exposures(small, tests, start.positions, start.normals, expert.start.exposures)
             if told is not None:

@@ -65,7 +65,7 @@ class ExposureOptions(Options):
     held_out: Annotated[int, Range(2)] = 4  # one view in this many is held out from a training
     min_views: Count = 12  # with fewer, exposures are not estimated
     min_jump: NotNegative = 0.07  # brightness change between neighbours below which exposures count as equal
-    min_gain: NotNegative = 0.5  # dB that a factor must gain on the other half of the held-out views
+    min_gain: NotNegative = 0.5  # dB that factors must gain on the halves of photographs to which they were not fitted
     faint: Share = 0.3  # of the median light; fainter pixels are ignored
     min_pixels: Count = 20  # to fit a factor to
     clipped: Annotated[int, Range(1, 256)] = 250  # of 255; brighter pixels hide how bright they were

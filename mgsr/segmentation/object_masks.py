@@ -1,10 +1,12 @@
 """Object masks for photographs without any, found without user input and without a neural network.
 
-A 2D branch is trained briefly on small photographs of the whole scene. The object's first surfels are the connected
-piece that stands on the support plane near the scene's centre. A few rounds then refine masks and surfels in turn:
+The starting points tell the support plane. A 2D branch is trained briefly on small photographs of the whole scene. The
+object's first surfels are the connected piece that stands on the plane near the scene's centre. A few rounds then
+refine masks and surfels in turn:
 
-1. Each photograph is compared with its expected background and with the object's rendered surfels. A random walker
-   turns both costs into a matte.
+1. Each photograph is compared with its expected background and with the object's rendered surfels. Where no other
+   photograph shows the background, the surfels tell whether the pixel shows the plane. A random walker turns the costs
+   into a matte.
 2. The visual hull of the mattes tolerates errors in a few of them. Its surface gives each view's silhouette.
 3. The surfels in the hull that certainly hide the background become the object's.
 
@@ -34,9 +36,10 @@ from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.background import BackgroundSources
 from mgsr.segmentation.consensus import silhouette, tolerant_hull
 from mgsr.segmentation.mattes import Matte, first_region, hull_region, matte
-from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
+from mgsr.segmentation.splat_labels import labelled_share, lifted_labels, pieces, some_surfels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane
 from mgsr.start.points import StartingPoints
+from mgsr.start.view_colors import seen_colors
 from mgsr.training.proxy_model import small_view
 from mgsr.training.run import Training
 
@@ -84,11 +87,19 @@ def find_object(
     Raises Cancelled once should_stop returns True, and TrainingError if training fails.
     """
     views, own = [small_view(view, options.search.side) for view in scene.train], options.search
-    small = replace(scene, train=views, test=[])
+    small, cameras = replace(scene, train=views, test=[]), [view.camera for view in views]
+    pixel = pixel_size(cameras, np.zeros(3))
+    if ground is None:
+        around = start.positions[np.linalg.norm(start.positions, axis=1) < own.near]
+        plane = find_support_plane(around, cameras, own.flat * pixel, np.random.default_rng(seed), options.plane)
+    else:
+        plane = SupportPlane(ground[:3], float(ground[3]))
+    if plane is not None:
+        start = _with_plane(start, plane, views, own.near, own.plane_spacing * pixel)
+    elif box is None:
+        return NoObject("no level surface lies under what the cameras look at")
     model = _trained(small, start, seed, own.iterations, should_stop, lambda done: progress(0.4 * done))
-    cameras, generator = [view.camera for view in views], np.random.default_rng(seed)
-    plane = None if ground is None else SupportPlane(ground[:3], float(ground[3]))
-    first = _first_labels(model, cameras, box, plane, generator, options)
+    first = _first_labels(model, pixel, box, plane, own)
     if isinstance(first, NoObject):
         return first
     search = _Search(model, first, views, options)
@@ -143,6 +154,7 @@ class _Search:
         self.labels = first.standing
         self.silhouettes: list[np.ndarray] | None = None
         columns = _columns(some_surfels(self._model, first.standing), first.plane, options.search.copies)
+        self._raised = first.heights > options.search.raised * self._pixel
         self.masks = [ndimage.binary_fill_holes(_covered(columns, camera)) for camera in self._cameras]
 
     def refine(self, dissent: float) -> None:
@@ -155,10 +167,10 @@ class _Search:
 
         def made(index: int) -> Matte:
             image, camera, mask = self._images[index], self._cameras[index], self.masks[index]
-            if self.silhouettes is None:
-                return matte(image, camera, first_region(mask, mattes), surfels, sources, options=mattes)
-            inside = self.silhouettes[index]
-            return matte(image, camera, hull_region(mask, inside, mattes), surfels, sources, inside, mattes)
+            inside = None if self.silhouettes is None else self.silhouettes[index]
+            region = first_region(mask, mattes) if inside is None else hull_region(mask, inside, mattes)
+            raised = labelled_share(self._model, self._raised, camera)
+            return matte(image, camera, region, surfels, sources, raised, inside, mattes)
 
         found = list(map_ahead(made, range(len(self._images)), None))
         self.masks = [each.share > 0.5 for each in found]
@@ -170,7 +182,7 @@ class _Search:
         caster = Mesh(*hull_surface(self._hull)).caster
         self.silhouettes = [silhouette(caster, camera) for camera in self._cameras]
         inside = self._hull.values(self._model.means.numpy().astype(np.float64)) > -own.around * self._pixel
-        self.labels = inside & (first.heights > own.raised * self._pixel) & self._sure(found)
+        self.labels = inside & self._raised & self._sure(found)
 
     def last_masks(self, train: Sequence[View], test: Sequence[View]) -> list[np.ndarray]:
         """Return the final masks [H,W] uint8, 0..255, of the training and then the test views.
@@ -191,7 +203,8 @@ class _Search:
             longest = max(camera.width, camera.height)
             inside = silhouette(caster, camera) / max(1.0, longest / own.side)  # in pixels of the small photographs
             region = hull_region(inside > 0, inside, mattes)
-            found = matte(pair[1].image, camera, region, surfels, sources, inside, mattes)
+            raised = labelled_share(self._model, self._raised, camera)
+            found = matte(pair[1].image, camera, region, surfels, sources, raised, inside, mattes)
             outer = np.where(inside > -own.beside, found.share, 0)
             share = np.where(inside > own.filled, 1, outer).astype(np.float32)
             size = view.camera.width, view.camera.height
@@ -263,32 +276,39 @@ def _covered(surfels: SurfelModel, camera: Camera) -> np.ndarray:
         return render_surfels(surfels, camera, torch.zeros(3), 0).alpha.numpy() > 0.5
 
 
+def _with_plane(
+    start: StartingPoints, plane: SupportPlane, views: Sequence[View], radius: float, spacing: float
+) -> StartingPoints:
+    """Add points of the support plane to starting points, where these leave gaps; otherwise surfels float there.
+
+    radius, spacing: of the grid of points, in the scene's unit.
+    """
+    points = plane.grid(radius, spacing)
+    points = points[cKDTree(start.positions).query(points)[0] > spacing]
+    colors = seen_colors(views, points, np.broadcast_to(plane.normal, points.shape)) if len(points) else points
+    return StartingPoints(
+        np.concatenate([start.positions, points]),
+        np.concatenate([start.colors, colors.astype(np.uint8)]),
+        start.source,
+        shiny=start.shiny,
+    )
+
+
 def _first_labels(
-    model: SurfelModel,
-    cameras: Sequence[Camera],
-    box: np.ndarray | None,
-    plane: SupportPlane | None,
-    generator: np.random.Generator,
-    options: SegmentationConfig,
+    model: SurfelModel, pixel: float, box: np.ndarray | None, plane: SupportPlane | None, own: ObjectSearchOptions
 ) -> _FirstLabels | NoObject:
     """Label the largest connected piece of surfels that stands on the support plane; those near the middle weigh more.
 
-    box [2,3]: the box in the scene's frame that holds the object; None: the object stands near the scene's centre.
-    plane: the support plane; None: it is searched for.
+    pixel: its size on the object, in the scene's unit. box [2,3]: the box in the scene's frame that holds the object;
+    None: the object stands near the scene's centre. plane: the support plane, None without one.
     """
-    own, pixel = options.search, pixel_size(cameras, np.zeros(3))
     centers = np.asarray(model.means.detach().numpy(), np.float64)
-    solid = model.opacities().detach().numpy() > own.solid
-    around = np.linalg.norm(centers, axis=1) < own.near
-    if plane is None:
-        plane = find_support_plane(centers[solid & around], cameras, own.flat * pixel, generator, options.plane)
-    inside = around
+    inside = np.linalg.norm(centers, axis=1) < own.near
     if box is not None:
         margin = own.flat * pixel
         inside = ((centers > box[0] - margin) & (centers < box[1] + margin)).all(axis=1)
-    elif plane is None:
-        return NoObject("no level surface lies under what the cameras look at")
     heights = np.full(len(centers), np.inf) if plane is None else plane.heights(centers)
+    solid = model.opacities().detach().numpy() > own.solid
     found = np.flatnonzero(solid & inside & (heights > own.standing * pixel))
     if len(found) < own.min_surfels:
         return NoObject("nothing stands in the middle of what the cameras look at")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from mgsr.config.expert import MatteOptions, RandomWalkerOptions, SupportPlaneOptions, TolerantHullOptions
 from mgsr.data.camera import Camera
@@ -21,7 +22,7 @@ from mgsr.segmentation.background import BackgroundSources
 from mgsr.segmentation.consensus import silhouette, tolerant_hull
 from mgsr.segmentation.mattes import first_region, hull_region, without_small_holes
 from mgsr.segmentation.random_walker import random_walker
-from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
+from mgsr.segmentation.splat_labels import labelled_share, lifted_labels, pieces, some_surfels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane, upward
 from tests.segmentation.table_scene import TABLE, table_scene
 
@@ -218,3 +219,21 @@ def test_a_hull_that_some_masks_contradict_shows_what_they_leave_out() -> None:
     assert places[:, 2].min() > TABLE - 0.05
     coarse = tolerant_hull(masks, seen, box, plane, 0.1, TolerantHullOptions(resolution=32))
     assert coarse.voxel == pytest.approx(hull.voxel * 127 / 31, rel=0.1)
+
+
+def test_the_grid_of_a_plane_lies_on_it_and_fills_the_ball() -> None:
+    normal = np.array([1.0, 2.0, -2.0]) / 3
+    plane = SupportPlane(normal, 0.4)
+    points = plane.grid(1.0, 0.05)
+    assert np.abs(points @ normal + 0.4).max() < 1e-9
+    assert np.linalg.norm(points, axis=1).max() < 1
+    assert len(points) == pytest.approx(np.pi * (1 - 0.4**2) / 0.05**2, rel=0.02)
+    assert cKDTree(points).query(points, k=2)[0][:, 1] == pytest.approx(0.05)
+
+
+def test_the_labelled_share_is_the_shares_of_the_labelled_surfels() -> None:
+    model, camera = surfels(60), cameras()[0]
+    labels = np.random.default_rng(1).random(60) < 0.5
+    covered = np.sum([shares_of(model, index, camera) for index in range(60)], axis=0)
+    expected = 1 - covered + np.sum([shares_of(model, index, camera) for index in np.flatnonzero(labels)], axis=0)
+    np.testing.assert_allclose(labelled_share(model, labels, camera), expected, atol=1e-4)

@@ -72,6 +72,9 @@ class MatteOptions(Options):
     deep_cost: NotNegative = 6.0  # the cost there, where the background is known
     beside: NotNegative = 3.0  # pixels outside the hull's silhouette beyond which the label object costs more
     beside_cost: NotNegative = 3.0  # the cost there
+    flat_share: Annotated[float, Range(0, 1, open=True)] = 0.2  # of a pixel that surfels above the support plane cover,
+    # below which the label object costs more where no other photograph shows the background
+    flat_cost: NotNegative = 9.0  # the cost there where no such surfel covers the pixel
     searched: NotNegative = 6.0  # pixels around the hull's silhouette in which the object may lie
     first_searched: NotNegative = 0.12  # the same around the first mask, as a share of the square root of its area
     max_hole: Share = 0.005  # area of a hole, as a share of the mask's, below which it is filled: highlights look like
@@ -91,7 +94,7 @@ class ObjectSearchOptions(Options):
     iterations: Count = 800  # of the training
     rounds: Count = 3  # of refining masks, hull and surfels
     first_dissent: Share = 0.1  # share of the masks that may exclude a place of the hull, in the first round
-    last_dissent: Share = 0.06  # the same in the last round
+    last_dissent: Share = 0.03  # the same in the last round
     solid: Share = 0.2  # least opacity of the object's first surfels
     near: Positive = 1.5  # ball radii; distance from the scene's centre within which the object stands
     middle: Positive = 0.7  # ball radii; distance from the middle at which a surfel's vote for its piece falls to 1/e
@@ -100,6 +103,7 @@ class ObjectSearchOptions(Options):
     raised: NotNegative = 3.0  # pixels; least height of the object's later surfels above the plane
     reflected: NotNegative = 3.0  # pixels; depth below the plane beyond which a surfel is a reflection, not background
     around: NotNegative = 1.5  # pixels; distance from the hull within which a surfel may be the object's
+    plane_spacing: Positive = 3.0  # pixels; spacing of starting points on the support plane
     copies: Count = 8  # copies of a surfel between its place and the plane, which fill the first masks
     linked: Positive = 2.5  # times the median distance to a third neighbour; surfels closer than this are connected
     blocked: WholeNumber = 2  # pixels around a mask that do not count as background

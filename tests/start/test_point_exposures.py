@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mgsr.data.scene import View
-from mgsr.start.point_exposures import point_exposures
+from mgsr.start.point_exposures import exposure_gain, point_exposures
 from tests.data.test_exposure import exposed
 from tests.training.ball import RADIUS, ball_points, ball_scene
 
@@ -58,3 +58,18 @@ def test_too_few_points_tell_nothing() -> None:
     black = replace(train[0], image=np.zeros_like(train[0].image))
     assert point_exposures([black, *train[1:]], test, POINTS.positions, POINTS.normals) is None
     assert point_exposures(train, test, POINTS.positions[:30], None) is None
+
+
+def test_the_gain_tells_whether_exposures_differ() -> None:
+    """Check that the gain is large for varied exposures, and none for equal ones, with and without gloss."""
+    for gloss in (0.0, 0.4):
+        even = ball_scene(96, train=20, test=4, gloss=gloss).train
+        equal = exposure_gain(even, POINTS.positions, POINTS.normals)
+        varied = exposure_gain(exposed_ball(gloss)[0], POINTS.positions, POINTS.normals)
+        assert equal is not None and equal < 0.1
+        assert varied is not None and varied > 6
+
+
+def test_a_half_without_points_tells_no_gain() -> None:
+    train, _, _ = exposed_ball()
+    assert exposure_gain(train, POINTS.positions[:60], None) is None

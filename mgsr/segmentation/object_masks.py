@@ -285,13 +285,11 @@ def _with_plane(
     """
     points = plane.grid(radius, spacing)
     points = points[cKDTree(start.positions).query(points)[0] > spacing]
-    colors = seen_colors(views, points, np.broadcast_to(plane.normal, points.shape)) if len(points) else points
-    return StartingPoints(
-        np.concatenate([start.positions, points]),
-        np.concatenate([start.colors, colors.astype(np.uint8)]),
-        start.source,
-        shiny=start.shiny,
-    )
+    if not len(points):
+        return start
+    colors = seen_colors(views, points, np.broadcast_to(plane.normal, points.shape))
+    together = np.concatenate([start.positions, points]), np.concatenate([start.colors, colors])
+    return StartingPoints(*together, start.source)
 
 
 def _first_labels(

@@ -56,15 +56,13 @@ def matte(
     region: np.ndarray,
     surfels: SurfelModel,
     sources: BackgroundSources,
-    raised: np.ndarray,
     silhouette: np.ndarray | None = None,
     options: MatteOptions = MatteOptions(),
 ) -> Matte:
     """Compute the object's matte in a photograph, inside a region [H,W] bool.
 
-    image [H,W,3] uint8 sRGB. surfels: the object's. raised [H,W] 0..1: the share of each pixel that the scene's surfels
-    above the support plane cover. It decides where no other photograph shows the background. silhouette [H,W]: signed
-    distances to the silhouette of the object's hull, in pixels, positive inside; None while the hull is unknown.
+    image [H,W,3] uint8 sRGB. surfels: the object's. silhouette [H,W]: signed distances to the silhouette of the
+    object's hull, in pixels, positive inside; None while the hull is unknown.
     """
     found = Matte(np.zeros(region.shape, np.float32), np.zeros(region.shape, bool), np.zeros(region.shape, bool))
     bounds = bounding_region(region, options.margin)
@@ -81,8 +79,7 @@ def matte(
     as_object = np.where(covered, _cost(_squared(part - color), options.rendered**2, options), options.max_cost)
     tested, above = np.isfinite(background.behind), _cost(background.above, options.guessed**2, options)
     as_background = np.where(tested, _cost(background.behind, options.guessed**2, options), as_background)
-    flat = options.flat_cost * np.clip(1 - raised[window] / options.flat_share, 0, 1)
-    as_object = np.where(tested, np.minimum(as_object, above) + flat, as_object)
+    as_object = np.where(tested, np.minimum(as_object, above), as_object)
     # Where both costs are equal, the image's edges decide.
     towards = as_background - as_object
     for_object, for_background = np.maximum(towards, 0), np.maximum(-towards, 0)

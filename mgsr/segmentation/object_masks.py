@@ -4,9 +4,8 @@ The starting points tell the support plane. A 2D branch is trained briefly on sm
 object's first surfels are the connected piece that stands on the plane near the scene's centre. A few rounds then
 refine masks and surfels in turn:
 
-1. Each photograph is compared with its expected background and with the object's rendered surfels. Where no other
-   photograph shows the background, the surfels tell whether the pixel shows the plane. A random walker turns the costs
-   into a matte.
+1. Each photograph is compared with its expected background and with the object's rendered surfels. A random walker
+   turns both costs into a matte.
 2. The visual hull of the mattes tolerates errors in a few of them. Its surface gives each view's silhouette.
 3. The surfels in the hull that certainly hide the background become the object's.
 
@@ -36,7 +35,7 @@ from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.background import BackgroundSources
 from mgsr.segmentation.consensus import silhouette, tolerant_hull
 from mgsr.segmentation.mattes import Matte, first_region, hull_region, matte
-from mgsr.segmentation.splat_labels import labelled_share, lifted_labels, pieces, some_surfels
+from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane
 from mgsr.start.points import StartingPoints
 from mgsr.start.view_colors import seen_colors
@@ -154,7 +153,6 @@ class _Search:
         self.labels = first.standing
         self.silhouettes: list[np.ndarray] | None = None
         columns = _columns(some_surfels(self._model, first.standing), first.plane, options.search.copies)
-        self._raised = first.heights > options.search.raised * self._pixel
         self.masks = [ndimage.binary_fill_holes(_covered(columns, camera)) for camera in self._cameras]
 
     def refine(self, dissent: float) -> None:
@@ -169,8 +167,7 @@ class _Search:
             image, camera, mask = self._images[index], self._cameras[index], self.masks[index]
             inside = None if self.silhouettes is None else self.silhouettes[index]
             region = first_region(mask, mattes) if inside is None else hull_region(mask, inside, mattes)
-            raised = labelled_share(self._model, self._raised, camera)
-            return matte(image, camera, region, surfels, sources, raised, inside, mattes)
+            return matte(image, camera, region, surfels, sources, inside, mattes)
 
         found = list(map_ahead(made, range(len(self._images)), None))
         self.masks = [each.share > 0.5 for each in found]
@@ -182,7 +179,7 @@ class _Search:
         caster = Mesh(*hull_surface(self._hull)).caster
         self.silhouettes = [silhouette(caster, camera) for camera in self._cameras]
         inside = self._hull.values(self._model.means.numpy().astype(np.float64)) > -own.around * self._pixel
-        self.labels = inside & self._raised & self._sure(found)
+        self.labels = inside & (first.heights > own.raised * self._pixel) & self._sure(found)
 
     def last_masks(self, train: Sequence[View], test: Sequence[View]) -> list[np.ndarray]:
         """Return the final masks [H,W] uint8, 0..255, of the training and then the test views.
@@ -203,8 +200,7 @@ class _Search:
             longest = max(camera.width, camera.height)
             inside = silhouette(caster, camera) / max(1.0, longest / own.side)  # in pixels of the small photographs
             region = hull_region(inside > 0, inside, mattes)
-            raised = labelled_share(self._model, self._raised, camera)
-            found = matte(pair[1].image, camera, region, surfels, sources, raised, inside, mattes)
+            found = matte(pair[1].image, camera, region, surfels, sources, inside, mattes)
             outer = np.where(inside > -own.beside, found.share, 0)
             share = np.where(inside > own.filled, 1, outer).astype(np.float32)
             size = view.camera.width, view.camera.height

@@ -60,17 +60,6 @@ def lifted_labels(
     return (total[:, : masks[0].shape[-1]] / weights.clamp_min(1e-6)[:, None]).numpy(), weights.numpy()
 
 
-def labelled_share(model: SurfelModel, labels: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return the share [H,W] float32, 0..1, of each pixel that surfels with a label cover; labels [N] bool.
-
-    Pixels that no surfel covers count as labelled.
-    """
-    colors = torch.from_numpy(np.where(labels, 0.5, -0.5).astype(np.float32)) / SH_CONSTANT
-    with torch.no_grad():
-        shown = render_surfels(_labelled(model, colors[:, None, None].repeat(1, 1, 3)), camera, torch.ones(3), 0)
-    return shown.color.numpy()[..., 0]
-
-
 def _labelled(model: SurfelModel, colors: Tensor) -> SurfelModel:
     """Return the model with other harmonics [N,1,3], of degree 0, and without gradients elsewhere."""
     return replace(model.detached(), sh=colors)

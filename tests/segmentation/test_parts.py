@@ -22,7 +22,7 @@ from mgsr.segmentation.background import BackgroundSources
 from mgsr.segmentation.consensus import silhouette, tolerant_hull
 from mgsr.segmentation.mattes import first_region, hull_region, without_small_holes
 from mgsr.segmentation.random_walker import random_walker
-from mgsr.segmentation.splat_labels import labelled_share, lifted_labels, pieces, some_surfels
+from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane, upward
 from tests.segmentation.table_scene import TABLE, table_scene
 
@@ -229,11 +229,3 @@ def test_the_grid_of_a_plane_lies_on_it_and_fills_the_ball() -> None:
     assert np.linalg.norm(points, axis=1).max() < 1
     assert len(points) == pytest.approx(np.pi * (1 - 0.4**2) / 0.05**2, rel=0.02)
     assert cKDTree(points).query(points, k=2)[0][:, 1] == pytest.approx(0.05)
-
-
-def test_the_labelled_share_is_the_shares_of_the_labelled_surfels() -> None:
-    model, camera = surfels(60), cameras()[0]
-    labels = np.random.default_rng(1).random(60) < 0.5
-    covered = np.sum([shares_of(model, index, camera) for index in range(60)], axis=0)
-    expected = 1 - covered + np.sum([shares_of(model, index, camera) for index in range(60) if labels[index]], axis=0)
-    np.testing.assert_allclose(labelled_share(model, labels, camera), expected, atol=1e-4)

@@ -72,9 +72,6 @@ class MatteOptions(Options):
     deep_cost: NotNegative = 6.0  # the cost there, where the background is known
     beside: NotNegative = 3.0  # pixels outside the hull's silhouette beyond which the label object costs more
     beside_cost: NotNegative = 3.0  # the cost there
-    flat_share: Annotated[float, Range(0, 1, open=True)] = 0.2  # of a pixel that surfels above the support plane cover,
-    # below which the label object costs more where no other photograph shows the background
-    flat_cost: NotNegative = 9.0  # the cost there where no such surfel covers the pixel
     searched: NotNegative = 6.0  # pixels around the hull's silhouette in which the object may lie
     first_searched: NotNegative = 0.12  # the same around the first mask, as a share of the square root of its area
     max_hole: Share = 0.005  # area of a hole, as a share of the mask's, below which it is filled: highlights look like

@@ -91,7 +91,7 @@ class ObjectSearchOptions(Options):
     iterations: Count = 800  # of the training
     rounds: Count = 3  # of refining masks, hull and surfels
     first_dissent: Share = 0.1  # share of the masks that may exclude a place of the hull, in the first round
-    last_dissent: Share = 0.03  # the same in the last round
+    last_dissent: Share = 0.06  # the same in the last round
     solid: Share = 0.2  # least opacity of the object's first surfels
     near: Positive = 1.5  # ball radii; distance from the scene's centre within which the object stands
     middle: Positive = 0.7  # ball radii; distance from the middle at which a surfel's vote for its piece falls to 1/e

@@ -48,8 +48,9 @@ def exposure_gain(
 
     The exposures of each view are fitted to the points in one half of its image, and tested on those in the other half.
     The result compares the median absolute deviations from the points' radiance without and with these exposures. It is
-    about 0, or negative, where all exposures are equal. The arguments are those of `point_exposures`. Returns None if
-    any half shows too few of the points.
+    about 0, or negative, where all exposures are equal.
+
+    positions [P,3], normals [P,3]: as in `point_exposures`. Returns None if any half shows too few of the points.
     """
     found = _observations(views, len(views), positions, normals, options)
     seen, left = found.log_light, found.left[..., None]

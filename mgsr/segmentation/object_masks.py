@@ -1,8 +1,7 @@
 """Object masks for photographs without any, found without user input and without a neural network.
 
-The starting points tell the support plane. A 2D branch is trained briefly on small photographs of the whole scene. The
-object's first surfels are the connected piece that stands on the plane near the scene's centre. A few rounds then
-refine masks and surfels in turn:
+A 2D branch is trained briefly on small photographs of the whole scene. The object's first surfels are the connected
+piece that stands on the support plane near the scene's centre. A few rounds then refine masks and surfels in turn:
 
 1. Each photograph is compared with its expected background and with the object's rendered surfels. A random walker
    turns both costs into a matte.
@@ -38,7 +37,6 @@ from mgsr.segmentation.mattes import Matte, first_region, hull_region, matte
 from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane
 from mgsr.start.points import StartingPoints
-from mgsr.start.view_colors import seen_colors
 from mgsr.training.proxy_model import small_view
 from mgsr.training.run import Training
 
@@ -86,19 +84,11 @@ def find_object(
     Raises Cancelled once should_stop returns True, and TrainingError if training fails.
     """
     views, own = [small_view(view, options.search.side) for view in scene.train], options.search
-    small, cameras = replace(scene, train=views, test=[]), [view.camera for view in views]
-    pixel = pixel_size(cameras, np.zeros(3))
-    if ground is None:
-        around = start.positions[np.linalg.norm(start.positions, axis=1) < own.near]
-        plane = find_support_plane(around, cameras, own.flat * pixel, np.random.default_rng(seed), options.plane)
-    else:
-        plane = SupportPlane(ground[:3], float(ground[3]))
-    if plane is not None:
-        start = _with_plane(start, plane, views, own.near, own.plane_spacing * pixel)
-    elif box is None:
-        return NoObject("no level surface lies under what the cameras look at")
+    small = replace(scene, train=views, test=[])
     model = _trained(small, start, seed, own.iterations, should_stop, lambda done: progress(0.4 * done))
-    first = _first_labels(model, pixel, box, plane, own)
+    cameras, generator = [view.camera for view in views], np.random.default_rng(seed)
+    plane = None if ground is None else SupportPlane(ground[:3], float(ground[3]))
+    first = _first_labels(model, cameras, box, plane, generator, options)
     if isinstance(first, NoObject):
         return first
     search = _Search(model, first, views, options)
@@ -165,9 +155,10 @@ class _Search:
 
         def made(index: int) -> Matte:
             image, camera, mask = self._images[index], self._cameras[index], self.masks[index]
-            inside = None if self.silhouettes is None else self.silhouettes[index]
-            region = first_region(mask, mattes) if inside is None else hull_region(mask, inside, mattes)
-            return matte(image, camera, region, surfels, sources, inside, mattes)
+            if self.silhouettes is None:
+                return matte(image, camera, first_region(mask, mattes), surfels, sources, options=mattes)
+            inside = self.silhouettes[index]
+            return matte(image, camera, hull_region(mask, inside, mattes), surfels, sources, inside, mattes)
 
         found = list(map_ahead(made, range(len(self._images)), None))
         self.masks = [each.share > 0.5 for each in found]
@@ -272,37 +263,32 @@ def _covered(surfels: SurfelModel, camera: Camera) -> np.ndarray:
         return render_surfels(surfels, camera, torch.zeros(3), 0).alpha.numpy() > 0.5
 
 
-def _with_plane(
-    start: StartingPoints, plane: SupportPlane, views: Sequence[View], radius: float, spacing: float
-) -> StartingPoints:
-    """Add points of the support plane to starting points, where these leave gaps; otherwise surfels float there.
-
-    radius, spacing: of the grid of points, in the scene's unit.
-    """
-    points = plane.grid(radius, spacing)
-    points = points[cKDTree(start.positions).query(points)[0] > spacing]
-    if not len(points):
-        return start
-    colors = seen_colors(views, points, np.broadcast_to(plane.normal, points.shape))
-    together = np.concatenate([start.positions, points]), np.concatenate([start.colors, colors])
-    return StartingPoints(*together, start.source)
-
-
 def _first_labels(
-    model: SurfelModel, pixel: float, box: np.ndarray | None, plane: SupportPlane | None, own: ObjectSearchOptions
+    model: SurfelModel,
+    cameras: Sequence[Camera],
+    box: np.ndarray | None,
+    plane: SupportPlane | None,
+    generator: np.random.Generator,
+    options: SegmentationConfig,
 ) -> _FirstLabels | NoObject:
     """Label the largest connected piece of surfels that stands on the support plane; those near the middle weigh more.
 
-    pixel: its size on the object, in the scene's unit. box [2,3]: the box in the scene's frame that holds the object;
-    None: the object stands near the scene's centre. plane: the support plane, None without one.
+    box [2,3]: the box in the scene's frame that holds the object; None: the object stands near the scene's centre.
+    plane: the support plane; None: it is searched for.
     """
+    own, pixel = options.search, pixel_size(cameras, np.zeros(3))
     centers = np.asarray(model.means.detach().numpy(), np.float64)
-    inside = np.linalg.norm(centers, axis=1) < own.near
+    solid = model.opacities().detach().numpy() > own.solid
+    around = np.linalg.norm(centers, axis=1) < own.near
+    if plane is None:
+        plane = find_support_plane(centers[solid & around], cameras, own.flat * pixel, generator, options.plane)
+    inside = around
     if box is not None:
         margin = own.flat * pixel
         inside = ((centers > box[0] - margin) & (centers < box[1] + margin)).all(axis=1)
+    elif plane is None:
+        return NoObject("no level surface lies under what the cameras look at")
     heights = np.full(len(centers), np.inf) if plane is None else plane.heights(centers)
-    solid = model.opacities().detach().numpy() > own.solid
     found = np.flatnonzero(solid & inside & (heights > own.standing * pixel))
     if len(found) < own.min_surfels:
         return NoObject("nothing stands in the middle of what the cameras look at")

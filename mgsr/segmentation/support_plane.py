@@ -30,15 +30,6 @@ class SupportPlane:
         """Return the signed heights [P] of points [P,3] above the plane, in the world's unit."""
         return np.asarray(points @ self.normal + self.offset)
 
-    def grid(self, radius: float, spacing: float) -> np.ndarray:
-        """Return the points [P,3] of a square grid on the plane within `radius` of the origin, in the world's unit."""
-        across = np.cross(self.normal, np.eye(3)[np.argmin(np.abs(self.normal))])
-        across /= np.linalg.norm(across)
-        steps = np.arange(-radius, radius, spacing)
-        along = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-        points = along @ np.stack([across, np.cross(self.normal, across)]) - self.offset * self.normal
-        return np.asarray(points[np.linalg.norm(points, axis=1) < radius])
-
 
 def upward(cameras: Sequence[Camera]) -> np.ndarray:
     """Return the cameras' mean upward direction [3], a unit vector in the world frame."""

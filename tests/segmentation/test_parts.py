@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from mgsr.config.expert import MatteOptions, RandomWalkerOptions, SupportPlaneOptions, TolerantHullOptions
 from mgsr.data.camera import Camera
@@ -219,13 +218,3 @@ def test_a_hull_that_some_masks_contradict_shows_what_they_leave_out() -> None:
     assert places[:, 2].min() > TABLE - 0.05
     coarse = tolerant_hull(masks, seen, box, plane, 0.1, TolerantHullOptions(resolution=32))
     assert coarse.voxel == pytest.approx(hull.voxel * 127 / 31, rel=0.1)
-
-
-def test_the_grid_of_a_plane_lies_on_it_and_fills_the_ball() -> None:
-    normal = np.array([1.0, 2.0, -2.0]) / 3
-    plane = SupportPlane(normal, 0.4)
-    points = plane.grid(1.0, 0.05)
-    assert np.abs(points @ normal + 0.4).max() < 1e-9
-    assert np.linalg.norm(points, axis=1).max() < 1
-    assert len(points) == pytest.approx(np.pi * (1 - 0.4**2) / 0.05**2, rel=0.02)
-    assert cKDTree(points).query(points, k=2)[0][:, 1] == pytest.approx(0.05)

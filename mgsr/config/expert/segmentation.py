@@ -100,7 +100,6 @@ class ObjectSearchOptions(Options):
     raised: NotNegative = 3.0  # pixels; least height of the object's later surfels above the plane
     reflected: NotNegative = 3.0  # pixels; depth below the plane beyond which a surfel is a reflection, not background
     around: NotNegative = 1.5  # pixels; distance from the hull within which a surfel may be the object's
-    plane_spacing: Positive = 3.0  # pixels; spacing of starting points on the support plane
     copies: Count = 8  # copies of a surfel between its place and the plane, which fill the first masks
     linked: Positive = 2.5  # times the median distance to a third neighbour; surfels closer than this are connected
     blocked: WholeNumber = 2  # pixels around a mask that do not count as background

@@ -2,7 +2,7 @@
 
 In photographs of a whole room, most surfaces look the same from all sides. There, the starting points tell whether
 exposures differ, and by what factors (see `point_exposures`). Around an object with masks, a small 3D branch is trained
-for it. Where the object is matte, the points give the more exact factors there too.
+to tell both. Where the object is matte, the points give the more exact factors there too.
 
 The branch can't reproduce the exposure factor of a held-out view. A factor is therefore fitted to one half of each
 held-out view and tested on the other half: if it improves that half too, exposures differ. The branch explains a flash
@@ -54,9 +54,11 @@ def find_exposures(
     tests = [small_view(view, options.proxy.side) for view in scene.test]
     if not scene.masked and start.surface is None:
         gain = exposure_gain(small, start.positions, start.normals, expert.start.exposures)
+        if gain is not None and gain < options.min_gain:
+            return None
         told = point_exposures(small, tests, start.positions, start.normals, expert.start.exposures)
         if gain is not None and told is not None:
-            return _rounded(told, len(small)) if gain >= options.min_gain else None
+            return _rounded(told, len(small))
     with one_torch_thread():
         errors = {degree: _kept_errors(scene, start, small, degree, seed, should_stop, options) for degree in degrees}
         degree = min(degrees, key=lambda each: float(errors[each][1]))

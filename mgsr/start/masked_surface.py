@@ -136,15 +136,17 @@ def _matched(
     progress: Callable[[float], None],
     expert: ExpertConfig,
 ) -> _Matched:
-    """Match the photographs at full and at half size; the coarser maps fill the finer ones' gaps.
+    """Match the photographs at two sizes; the coarser maps fill the finer ones' gaps.
 
     start: the surface on which the search begins.
     """
-    halves, options = photographs.reduced(expert.start.surface.coarse_scale), expert.stereo
+    surface, options = expert.start.surface, expert.stereo
+    halves = photographs.reduced(surface.coarse_scale)
     coarse = match_views(halves, start, seed, options.match, _between(progress, 0, HALVES_MATCHED))
     fine = match_views(photographs, start, seed, options.match, _between(progress, HALVES_MATCHED, MATCHED))
     weights = weigh(photographs, fine, options.consistency)
-    weights += weigh_gaps(weigh(halves, coarse, options.consistency), weights)
+    gaps = weigh_gaps(weigh(halves, coarse, options.consistency), weights)
+    weights += [surface.coarse_weight * each for each in gaps]
     pixel = pixel_size(photographs.cameras, np.zeros(3))
     return _Matched(photographs.cameras + halves.cameras, fine + coarse, weights, pixel)
 

@@ -40,7 +40,7 @@ def test_what_is_hidden_is_dark_without_grain(monkeypatch: pytest.MonkeyPatch) -
     up = np.broadcast_to(UP, corners.shape)
     mesh = PaintedMesh(vertices, np.concatenate([ball().faces, plate]))
     painter = MeshPainter(mesh.with_normals(np.concatenate([ball().normals, up])))
-    camera = side_camera(ball().vertices, UP, FRONT, 0.0, 256)
+    camera = side_camera(ball().vertices, UP, FRONT, 0.0, 128)
     quick = painter.shaded(camera).astype(float)
     monkeypatch.setattr("mgsr.report.shading.OCCLUSION_SPREAD", 0)
     grainy = painter.shaded(camera).astype(float)

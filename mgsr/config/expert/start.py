@@ -26,6 +26,7 @@ class FirstSurfaceOptions(Options):
     disbelieved: Positive = 0.3  # octaves by which stereo's residual may exceed the hull's before its depths lose all
     # weight
     coarse_scale: Annotated[float, Range(0, 1, open=True)] = 0.5  # of the photographs' sides for the coarser stereo
+    coarse_weight: Share = 0.3  # of the coarser stereo's depths, in gaps of the finer one's; those of the finer: 1
     photometric_reach: Positive = 5.0  # pixels over which the photometric refinement spreads a displacement
     flash_coarse: ShadingPass = field(default_factory=lambda: ShadingPass(edge=2.0, rounds=6, reach=160.0))
     flash_fine: ShadingPass = field(default_factory=lambda: ShadingPass(edge=1.5, rounds=3, reach=60.0))

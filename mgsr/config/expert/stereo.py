@@ -17,8 +17,8 @@ class MatchSettings(Options):
 
     radius: Annotated[int, Range(0, 4)] = 2  # samples of a patch on each side of its centre
     spacing: Positive = 1.25  # pixels between samples
-    noise: Positive = 0.012  # sRGB 0..1; standard deviation of the image noise
-    alike: Positive = 0.3  # sRGB 0..1; colour difference from the centre at which a sample weighs 0.6
+    noise: Positive = 0.006  # sRGB 0..1; standard deviation of the image noise
+    alike: Positive = 0.08  # sRGB 0..1; colour difference from the centre at which a sample weighs 0.6
     reach: Positive = 4.0  # pixels from the centre at which a sample weighs 0.6
     best: Annotated[int, Range(1, 8)] = 3  # best neighbours, whose mean correlation is the score
     cover: Share = 0.6  # least share of a patch that must show the object in a neighbour
@@ -49,8 +49,8 @@ class ConsistencyOptions(Options):
     same_depth: Positive = 2.0  # pixels; largest difference of depths that confirm each other
     seen_through: Positive = 4.0  # pixels; a view that sees farther than this behind a point contradicts it
     same_normal: Angle = 40.0  # degrees; largest angle between normals that confirm each other
-    worthless: Share = 0.2  # score below which a depth has the least weight
-    perfect: Share = 0.8  # score from which a depth has the full weight; must exceed worthless
+    worthless: Share = 0.25  # score below which a depth has the least weight
+    perfect: Share = 0.85  # score from which a depth has the full weight; must exceed worthless
     least: Share = 0.05  # weight of a confirmed depth with a worthless score
 
     def __post_init__(self) -> None:

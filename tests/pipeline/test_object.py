@@ -39,6 +39,8 @@ FEW = [
     "gaussians.max_start=2000",
     "environment_map.iterations=0",
     "mesh.poisson_depth=6",
+    "expert.segmentation.search.iterations=300",
+    "expert.segmentation.search.rounds=2",
     "expert.mesh.choice.mirror_share=0",  # so short a training ends so near the start that chance would choose
 ]
 

@@ -64,7 +64,7 @@ def test_ranges(valid: Range, inside: tuple[float, ...], outside: tuple[float, .
         ("fusion.reach=0", r"^expert\.stereo\.fusion\.reach: expected above 0, got 0$"),
         ("match.settings.radius=5", r"^expert\.stereo\.match\.settings\.radius: expected 0 to 4, got 5$"),
         ("fusion.bins=1.5", "a whole number"),
-        ("worthless=0.9", r"^expert\.stereo\.consistency\.worthless: expected worthless < perfect, got 0\.9, 0\.85$"),
+        ("worthless=0.9", r"^expert\.stereo\.consistency\.worthless: expected worthless < perfect, got 0\.9, 0\.8$"),
         ("expert.stereo.fusion.binz=3", r"did you mean expert\.stereo\.fusion\.bins"),
         ("fusion.rounds=none", "a whole number"),
         ("radiu=1", r"did you mean .*mesh\.radius"),

@@ -49,8 +49,8 @@ class ConsistencyOptions(Options):
     same_depth: Positive = 2.0  # pixels; largest difference of depths that confirm each other
     seen_through: Positive = 4.0  # pixels; a view that sees farther than this behind a point contradicts it
     same_normal: Angle = 40.0  # degrees; largest angle between normals that confirm each other
-    worthless: Share = 0.25  # score below which a depth has the least weight
-    perfect: Share = 0.85  # score from which a depth has the full weight; must exceed worthless
+    worthless: Share = 0.2  # score below which a depth has the least weight
+    perfect: Share = 0.8  # score from which a depth has the full weight; must exceed worthless
     least: Share = 0.05  # weight of a confirmed depth with a worthless score
 
     def __post_init__(self) -> None:

@@ -18,6 +18,7 @@ from mgsr.config.expert import (
 )
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
+from mgsr.geometry.mesh import Mesh
 from mgsr.start.background_points import background_points
 from mgsr.start.depth_filling import fill_depth
 from mgsr.start.point_exposures import point_exposures
@@ -52,6 +53,22 @@ def test_the_hull_has_the_resolution_that_is_set(ball_scene: Scene) -> None:
     ]
     fine, coarse = (len(found.surface.vertices) for found in surfaces if found.surface is not None)
     assert coarse < 0.5 * fine
+
+
+def test_coarser_depths_weigh_what_is_set(ball_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    weights: list[list[np.ndarray]] = []
+
+    def nothing(cameras: object, maps: object, given: list[np.ndarray], *rest: object) -> Mesh:
+        weights.append(given)
+        return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
+
+    monkeypatch.setattr("mgsr.start.masked_surface.fuse_roughly", nothing)
+    for share in (0.2, 0.8):
+        starting_points(ball_scene, 200, seed=0, expert=expert(f"start.surface.coarse_weight={share}"))
+    views = len(ball_scene.train)
+    assert all(np.array_equal(*pair) for pair in zip(weights[0][:views], weights[1][:views], strict=True))
+    light, heavy = (np.concatenate([each.ravel() for each in found[views:]]) for found in weights)
+    assert heavy.max() > 0 and np.allclose(heavy, 4 * light)
 
 
 def test_too_few_points_of_stereo_make_a_ball(tmp_path: Path) -> None:

@@ -227,7 +227,7 @@ def union(parts: list[Part], cell: float) -> trimesh.Trimesh:
 
 
 BOWL_THICKNESS, CUP_THICKNESS, HANDLE_THICKNESS = 0.07, 0.05, 0.1
-ROD_THICKNESS, PLATE_THICKNESS = 0.04, 0.03
+ROD_THICKNESS, SPINDLE_THICKNESS, PLATE_THICKNESS = 0.04, 0.034, 0.03
 CAP_THICKNESS, STEM_THICKNESS, GILL_THICKNESS, VASE_THICKNESS = 0.07, 0.34, 0.04, 0.07
 
 
@@ -265,6 +265,23 @@ def rack() -> trimesh.Trimesh:
     return union([base, *standing, *rods, top], cell=0.0085)
 
 
+def chair() -> trimesh.Trimesh:
+    """Return a chair, with nine handles.
+
+    It has a seat, four splayed legs, a ring of four rungs between them, and a back of six spindles below a rail.
+    """
+    seat = plate(np.array([0, 0, -0.08]), np.array([0.84, 0.8, PLATE_THICKNESS]))
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    tops, feet = (np.insert(spread * corners, 2, height, axis=1) for spread, height in ((0.34, -0.08), (0.46, -0.85)))
+    legs = [rod(top, foot, ROD_THICKNESS) for top, foot in zip(tops, feet, strict=True)]
+    middles = 0.45 * tops + 0.55 * feet
+    rungs = along_line(rod, np.concatenate([middles, middles[:1]]), ROD_THICKNESS)
+    across = np.linspace(-0.35, 0.35, 6)
+    spindles = [rod(np.array([x, 0.37, -0.08]), np.array([1.2 * x, 0.47, 0.7]), SPINDLE_THICKNESS) for x in across]
+    rail = rod(np.array([-0.46, 0.47, 0.7]), np.array([0.46, 0.47, 0.7]), 2 * ROD_THICKNESS)
+    return union([seat, *legs, *rungs, *spindles, rail], cell=0.0085)
+
+
 def mushroom() -> trimesh.Trimesh:
     """Return a mushroom: a cap of width 1.8, a stem, and 24 gills that hang between the two."""
     cap = np.array([0.86, 0.6, 0.15])  # radius, height and the z of the rim
@@ -284,7 +301,14 @@ def vase() -> trimesh.Trimesh:
     return union(along_line(turned, profile, VASE_THICKNESS), cell=0.014)
 
 
-SHAPES = {Shape.BOWL: bowl, Shape.CUP: cup, Shape.RACK: rack, Shape.MUSHROOM: mushroom, Shape.VASE: vase}
+SHAPES = {
+    Shape.BOWL: bowl,
+    Shape.CUP: cup,
+    Shape.RACK: rack,
+    Shape.CHAIR: chair,
+    Shape.MUSHROOM: mushroom,
+    Shape.VASE: vase,
+}
 
 if __name__ == "__main__":
     main()

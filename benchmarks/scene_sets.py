@@ -49,6 +49,7 @@ class Shape(StrEnum):
     BOWL = "bowl"
     CUP = "cup"
     RACK = "rack"
+    CHAIR = "chair"
     MUSHROOM = "mushroom"
     VASE = "vase"
 
@@ -204,6 +205,14 @@ RENDERED = (
         Shape.RACK,
         "--up z --tilt 25 --rotz 35 --solid checker --freq 9 --color 0.72,0.66,0.50 --color2 0.18,0.10,0.12 "
         "--light soft --seed 305",
+    ),
+    BenchmarkScene(
+        "chair_sky",
+        Kind.THIN,
+        SceneSet.TUNING,
+        Shape.CHAIR,
+        "--up z --tilt 20 --rotz 15 --solid stripes --freq 7 --color 0.68,0.46,0.24 --color2 0.22,0.12,0.07 "
+        "--material satin --light sky --seed 404",
     ),
     BenchmarkScene(
         "cow_upper_exposure",

@@ -68,7 +68,7 @@ def parsed(scene: BenchmarkScene, source: str) -> SimpleNamespace:
 
 
 def test_names_and_seeds_are_unique() -> None:
-    assert len({scene.name for scene in SCENES}) == len(SCENES) == 29
+    assert len({scene.name for scene in SCENES}) == len(SCENES) == 30
     seeds = [scene.arguments.split()[scene.arguments.split().index("--seed") + 1] for scene in RENDERED]
     assert len(set(seeds)) == len(RENDERED)
 
@@ -163,7 +163,15 @@ def crossings(mesh: trimesh.Trimesh, axis: int, place: tuple[float, float]) -> n
 
 
 @pytest.mark.parametrize(
-    ("shape", "handles"), [(Shape.BOWL, 0), (Shape.CUP, 1), (Shape.RACK, 9), (Shape.MUSHROOM, 0), (Shape.VASE, 0)]
+    ("shape", "handles"),
+    [
+        (Shape.BOWL, 0),
+        (Shape.CUP, 1),
+        (Shape.RACK, 9),
+        (Shape.CHAIR, 9),
+        (Shape.MUSHROOM, 0),
+        (Shape.VASE, 0),
+    ],
 )
 def test_shapes_are_closed_and_have_their_handles(shape: Shape, handles: int) -> None:
     mesh = solid(shape)
@@ -191,6 +199,7 @@ def test_shapes_have_about_the_size_of_a_scene(shape: Shape) -> None:
         pytest.param(Shape.RACK, 2, (0.403, 0.407), [PLATE_THICKNESS], id="base of the rack"),
         pytest.param(Shape.RACK, 0, (0.1, -0.1), [PLATE_THICKNESS] * 2, id="standing plates"),
         pytest.param(Shape.RACK, 1, (0.28, 0.013), [ROD_THICKNESS] * 2, id="an arch's rods"),
+        pytest.param(Shape.CHAIR, 2, (0.013, 0.017), [PLATE_THICKNESS], id="seat of the chair"),
         pytest.param(Shape.VASE, 2, (0.013, 0.011), [VASE_THICKNESS], id="bottom of the vase"),
         pytest.param(Shape.MUSHROOM, 0, (0.013, -0.3), [STEM_THICKNESS], id="stem of the mushroom"),
     ],

@@ -282,6 +282,17 @@ def chair() -> trimesh.Trimesh:
     return union([seat, *legs, *rungs, *spindles, rail], cell=0.0085)
 
 
+def basket() -> trimesh.Trimesh:
+    """Return an open basket of 18 staves, two hoops and a flat bottom, with 36 handles."""
+    angles = np.arange(18) * 2 * np.pi / 18
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    below, above = (np.insert(radius * directions, 2, height, axis=1) for radius, height in ((0.56, -0.55), (0.8, 0.5)))
+    staves = [rod(start, end, ROD_THICKNESS) for start, end in zip(below, above, strict=True)]
+    hoops = [np.concatenate([ring, ring[:1]]) for ring in (above, 0.5 * (below + above))]
+    bottom = turned(np.array([0.0, -0.55]), np.array([0.56, -0.55]), PLATE_THICKNESS)
+    return union([bottom, *staves, *(part for hoop in hoops for part in along_line(rod, hoop, ROD_THICKNESS))], 0.0085)
+
+
 def mushroom() -> trimesh.Trimesh:
     """Return a mushroom: a cap of width 1.8, a stem, and 24 gills that hang between the two."""
     cap = np.array([0.86, 0.6, 0.15])  # radius, height and the z of the rim
@@ -306,6 +317,7 @@ SHAPES = {
     Shape.CUP: cup,
     Shape.RACK: rack,
     Shape.CHAIR: chair,
+    Shape.BASKET: basket,
     Shape.MUSHROOM: mushroom,
     Shape.VASE: vase,
 }

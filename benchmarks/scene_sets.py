@@ -50,6 +50,7 @@ class Shape(StrEnum):
     CUP = "cup"
     RACK = "rack"
     CHAIR = "chair"
+    BASKET = "basket"
     MUSHROOM = "mushroom"
     VASE = "vase"
 
@@ -212,7 +213,15 @@ RENDERED = (
         SceneSet.TUNING,
         Shape.CHAIR,
         "--up z --tilt 20 --rotz 15 --solid stripes --freq 7 --color 0.68,0.46,0.24 --color2 0.22,0.12,0.07 "
-        "--material satin --light sky --seed 404",
+        "--material satin --light sky --seed 406",
+    ),
+    BenchmarkScene(
+        "basket_soft",
+        Kind.THIN,
+        SceneSet.TUNING,
+        Shape.BASKET,
+        "--up z --tilt 15 --rotz 5 --solid blobs --freq 7 --color 0.70,0.56,0.34 --color2 0.16,0.10,0.12 "
+        "--light soft --seed 405",
     ),
     BenchmarkScene(
         "cow_upper_exposure",

@@ -18,7 +18,7 @@ class MatchSettings(Options):
     radius: Annotated[int, Range(0, 4)] = 2  # samples of a patch on each side of its centre
     spacing: Positive = 1.25  # pixels between samples
     noise: Positive = 0.008  # sRGB 0..1; standard deviation of the image noise
-    alike: Positive = 0.08  # sRGB 0..1; colour difference from the centre at which a sample weighs 0.6
+    alike: Positive = 0.15  # sRGB 0..1; colour difference from the centre at which a sample weighs 0.6
     reach: Positive = 4.0  # pixels from the centre at which a sample weighs 0.6
     best: Annotated[int, Range(1, 8)] = 3  # best neighbours, whose mean correlation is the score
     cover: Share = 0.6  # least share of a patch that must show the object in a neighbour

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
 
+from mgsr.config.options import Pattern
 from mgsr.errors import ConfigError
+
+_NUMBER = r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*"
 
 
 class Masks(StrEnum):
@@ -64,7 +68,7 @@ class DataConfig:
     object: Object = Object.AUTO
     # Two opposite corners x0,y0,z0,x1,y1,z1 of a box around the object, in the capture's frame and unit. MGSR finds
     # masks of what lies in the box. none: `object` decides.
-    object_box: str | None = None
+    object_box: Annotated[str | None, Pattern(f"({_NUMBER},){{5}}{_NUMBER}", "-1,-1,0,1,1,2")] = None
     flawed: Flawed = Flawed.KEEP
     check: bool = True  # Photographs, cameras and masks are inspected before training, as by `mgsr check`.
     confined: bool = False  # Files outside the given folder are not read. The service sets this for every job.

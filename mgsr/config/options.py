@@ -31,6 +31,14 @@ class Range:
         return f"above {self.least:g}, up to {self.most:g}" if self.open else f"{self.least:g} to {self.most:g}"
 
 
+@dataclass(frozen=True)
+class Pattern:
+    """The form of a text: a regular expression that all of it must match, and an example."""
+
+    regex: str
+    example: str
+
+
 Count = Annotated[int, Range(1)]
 WholeNumber = Annotated[int, Range(0)]
 Positive = Annotated[float, Range(0, open=True)]
@@ -58,12 +66,17 @@ class Options:
 
 def ranges(kind: type) -> Mapping[str, Range]:
     """Return the valid range of each field of a dataclass that has one."""
-    return _ranges(kind)
+    return {name: mark for name, mark in _marks(kind).items() if isinstance(mark, Range)}
+
+
+def patterns(kind: type) -> Mapping[str, Pattern]:
+    """Return the pattern of each field of a dataclass that has one."""
+    return {name: mark for name, mark in _marks(kind).items() if isinstance(mark, Pattern)}
 
 
 @cache
-def _ranges(kind: Any) -> Mapping[str, Range]:
-    """Return `ranges`, which are read from the annotations only once."""
+def _marks(kind: Any) -> Mapping[str, Range | Pattern]:
+    """Return the range or the pattern of each field that has one, read from the annotations only once."""
     hints = get_type_hints(kind, include_extras=True)
     marks = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
-    return {name: part for name, parts in marks.items() for part in parts if isinstance(part, Range)}
+    return {name: part for name, parts in marks.items() for part in parts if isinstance(part, Range | Pattern)}

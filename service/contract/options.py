@@ -174,7 +174,9 @@ def _fits(value: SettingValue, schema: dict[str, Any]) -> bool:
         return False
     if not isinstance(value, _KINDS[schema["type"]]) or ("enum" in schema and value not in schema["enum"]):
         return False
-    return isinstance(value, str) or _within(value, schema)
+    if isinstance(value, str):
+        return re.search(schema.get("pattern", ""), value) is not None
+    return _within(value, schema)
 
 
 def _within(value: float, schema: dict[str, Any]) -> bool:
@@ -185,6 +187,8 @@ def _within(value: float, schema: dict[str, Any]) -> bool:
 def _say(schema: dict[str, Any]) -> str:
     if "enum" in schema:
         return "one of " + ", ".join(schema["enum"])
+    if "pattern" in schema:
+        return "a string such as " + json.dumps(schema["examples"][0])
     words = {"minimum": "at least", "exclusiveMinimum": "more than", "maximum": "at most"}
     bounds = " and ".join(f"{word} {schema[key]:g}" for key, word in words.items() if key in schema)
     kind = {"null": "null", "boolean": "true or false"}.get(schema["type"], schema["type"])

@@ -172,6 +172,7 @@ def ready(address: str) -> bool:
     [
         (["nowhere"], "found nothing"),
         (["SCENE", "--set", "max_sied=3"], "data.max_side"),
+        (["SCENE", "--set", "object_box=1,2"], 'data.object_box: expected a string such as "-1,-1,0,1,1,2"'),
         (["SCENE", "--preset", "best"], "draft"),
         (["SCENE", "--server", "http://127.0.0.1:1"], "mgsr serve"),
     ],

@@ -141,6 +141,12 @@ def options_part(text: bytes) -> bytes:
         (MULTIPART, ARCHIVE_PART + options_part(b"x" * 300_000) + b"--xyz--\r\n", 413, "options_too_large"),
         (MULTIPART, ARCHIVE_PART + options_part(b'{"preset": "best"}') + b"--xyz--\r\n", 422, "bad_options"),
         (MULTIPART, ARCHIVE_PART + options_part(b'{"colour": 1}') + b"--xyz--\r\n", 422, "bad_options"),
+        (
+            MULTIPART,
+            ARCHIVE_PART + options_part(b'{"settings": {"data.object_box": "1,2"}}') + b"--xyz--\r\n",
+            422,
+            "bad_options",
+        ),
     ],
 )
 def test_what_is_malformed_is_refused(strict: Stack, kind: str, body: bytes, status: int, code: str) -> None:

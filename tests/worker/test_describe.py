@@ -39,6 +39,8 @@ def test_every_setting_of_the_library_can_be_set() -> None:
         ("train.gaussians.densify.every=50", ("train.gaussians.densify.every", 50)),
         ("fusion.bins=16", ("expert.stereo.fusion.bins", 16)),
         ("radius=0.7", ("mesh.radius", 0.7)),  # not that of stereo's patches
+        ("object_box=-1,-1,0,1,1,2", ("data.object_box", "-1,-1,0,1,1,2")),
+        ("object_box=-.5, -1e-1,0.,+1,1,2E3", ("data.object_box", "-.5, -1e-1,0.,+1,1,2E3")),
     ],
 )
 def test_settings_from_the_command_line(text: str, expected: tuple[str, object]) -> None:
@@ -60,9 +62,12 @@ def test_settings_that_can_not_be(text: str) -> None:
         ("stereo.fusion.reach=0", "number of more than 0, got 0"),
         ("match.settings.best=9", "integer of at least 1 and at most 8, got 9"),
         ("mesh.trim=-1", "number of at least 0, got -1"),
+        ("object_box=1,2,3", 'data.object_box: expected a string such as "-1,-1,0,1,1,2" or null, got "1,2,3"'),
+        ("object_box=0,0,0,1,1,nan", "expected a string such as"),
+        ("object_box=0,0,0,1,1,1,1", "expected a string such as"),
     ],
 )
-def test_numbers_out_of_range(text: str, expected: str) -> None:
+def test_values_out_of_range_or_of_another_form(text: str, expected: str) -> None:
     with pytest.raises(ValueError, match=expected):
         parse_setting(text)
     with pytest.raises(ConfigError):

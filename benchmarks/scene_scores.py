@@ -3,13 +3,14 @@
     python -m benchmarks.scene_scores RENDERED -o benchmarks/results/sets.csv --runs FOLDER [--scenes NAME ...]
 
 RENDERED: what `python -m benchmarks.render_scenes` made; the ready-made scenes lie in ../shared/data/scenes. Runs are
-kept in FOLDER and those that are finished there are not repeated. Rows of other scenes stay in the file.
+kept in FOLDER and those that are finished there are not repeated. Rows of other scenes and seeds stay in the file.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
@@ -30,6 +31,7 @@ from mgsr.data.scene import Scene
 from mgsr.data.silhouettes import silhouettes
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.surface import ReconstructedMesh
+from mgsr.metrics.surface import surface_metrics
 from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline.evaluation import find_truth, surface_scores
 from mgsr.pipeline.run import run_scene
@@ -43,13 +45,14 @@ def main() -> None:
         if given.scenes and scene.name not in given.scenes:
             continue
         row = replace(measured(scene, find(scene, given.rendered), given), commit=given.commit or program_commit())
-        replace_rows(given.out, SetRow, [row])
+        replace_rows(given.out, SetRow, [row], ("scene", "seed"))
 
 
-def replace_rows(out: Path, kind: type[SceneRow], found: list[SceneRow]) -> None:
-    """Print a scene's rows and write them to the file, in place of those that it has of the scene."""
+def replace_rows(out: Path, kind: type[SceneRow], found: list[SceneRow], names: Sequence[str] = ("scene",)) -> None:
+    """Print rows and write them to the file, in place of those that have the same values of the named fields."""
     print(*found, sep="\n", flush=True)
-    others = [row for row in read_csv(out, kind) if row.scene != found[0].scene]
+    keys = [[getattr(row, name) for name in names] for row in found]
+    others = [row for row in read_csv(out, kind) if [getattr(row, name) for name in names] not in keys]
     write_csv(out, kind, others + found, digits=5)
 
 
@@ -71,12 +74,15 @@ def find(scene: BenchmarkScene, rendered: Path) -> Path:
 
 
 def measured(scene: BenchmarkScene, path: Path, given: argparse.Namespace) -> SetRow:
-    """Return the scores of a scene's run and of its hull, without the commit; the run is made unless it is there."""
-    out: Path = given.runs / scene.name
+    """Return the scores of a run, of the hull and of the truth, without the commit; the run is made unless it is there.
+
+    The runs of further seeds lie beside the first's, in SCENE_SEED.
+    """
+    out: Path = given.runs / (scene.name if given.seed == 0 else f"{scene.name}_{given.seed}")
     if not (out / "report.json").is_file():
         run_scene(path, out, make_config(given.preset, overrides=[f"seed={given.seed}"]))
     report = json.loads((out / "report.json").read_text())
-    hull = hull_scores(path)
+    hull, floor = hull_scores(path), floor_scores(path)
     return SetRow(
         scene=scene.name,
         set=scene.set.value,
@@ -85,6 +91,7 @@ def measured(scene: BenchmarkScene, path: Path, given: argparse.Namespace) -> Se
         normal_error=report["gt"]["normal_error"],
         hull_chamfer=1000 * hull["chamfer"],
         hull_normal_error=hull["normal_error"],
+        floor_chamfer=1000 * floor["chamfer"],
         psnr=report["psnr_test"],
         preset=report["preset"],
         seed=report["seed"],
@@ -98,6 +105,12 @@ def hull_scores(path: Path) -> dict[str, float]:
     options = StartConfig()
     hull = carve(silhouettes(scene.train, options.mask_side), np.zeros(3), 1.05, options.resolution)
     return scores_of(Mesh(*hull_surface(hull)), scene, find_truth(scene))
+
+
+def floor_scores(path: Path) -> dict[str, float]:
+    """Return the scores of the true surface against itself."""
+    truth = find_truth(load_scene(path, make_config("standard").data))
+    return {} if truth is None else surface_metrics(truth.mesh, truth)
 
 
 def scores_of(mesh: Mesh, scene: Scene, truth: TrueSurface | None) -> dict[str, float]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from mgsr.bench.table import markdown, number
 
 SETS = "sets.csv"
@@ -16,7 +18,8 @@ class SetRow:
     """One run of a scene of the sets.
 
     set: TUNING, on which settings are chosen, or JUDGING. Chamfer in thousandths of the object's radius, normal errors
-    in degrees, PSNR of the test views in dB; hull_*: of the visual hull of the masks alone.
+    in degrees, PSNR of the test views in dB; hull_*: of the visual hull of the masks alone. floor_chamfer: of the true
+    surface itself, which is the distance between two sets of points sampled on it.
     """
 
     scene: str
@@ -26,6 +29,7 @@ class SetRow:
     normal_error: float
     hull_chamfer: float
     hull_normal_error: float
+    floor_chamfer: float
     psnr: float
     preset: str
     seed: int
@@ -41,52 +45,76 @@ def sets_section(rows: Sequence[SetRow]) -> str:
     parts = [
         "## The tuning set and the judging set",
         "Settings are chosen on the tuning set alone. The judging set shows how they do on scenes for which nobody "
-        f"tuned them. The preset is {presets}, the seed {seeds}, the program that of {commits}. `python -m "
+        f"tuned them. The preset is {presets}, the seeds are {seeds}, and the program is that of {commits}. `python -m "
         "benchmarks.scene_scores` makes these figures.",
+        "The floor is the Chamfer of the true surface itself. It is not 0, as distances are between sampled points. A "
+        "scene with several seeds has the mean of its runs, and the range of their Chamfer.",
     ]
     for name in (TUNING, JUDGING):
-        of_set = [row for row in rows if row.set == name]
-        if of_set:
-            parts += [f"The {name} set:", _table(of_set), _means(name, of_set)]
+        scenes = _by_scene([row for row in rows if row.set == name])
+        if scenes:
+            parts += [f"The {name} set:", _table(scenes), _means(name, scenes)]
     return "\n\n".join([*parts, *_gap(rows)])
 
 
-def _table(rows: Sequence[SetRow]) -> str:
-    head = ["scene", "kind", "Chamfer (hull)", "of the hull's", "normal error (hull)", "PSNR"]
+def _by_scene(rows: Sequence[SetRow]) -> list[list[SetRow]]:
+    """Return the runs of each scene, sorted by the share of the hull's Chamfer that remains."""
+    scenes: dict[str, list[SetRow]] = {}
+    for row in rows:
+        scenes.setdefault(row.scene, []).append(row)
+    return sorted(scenes.values(), key=_share)
+
+
+def _mean(runs: Sequence[SetRow], field: str) -> float:
+    return float(np.mean([getattr(run, field) for run in runs]))
+
+
+def _share(runs: Sequence[SetRow]) -> float:
+    return _mean(runs, "chamfer") / _mean(runs, "hull_chamfer")
+
+
+def _table(scenes: Sequence[Sequence[SetRow]]) -> str:
+    head = ["scene", "kind", "Chamfer (floor, hull)", "range", "of the hull's", "normal error (hull)", "PSNR"]
     cells = [
         [
-            row.scene,
-            row.kind,
-            f"{row.chamfer:.2f} ({row.hull_chamfer:.2f})",
-            f"{row.chamfer / row.hull_chamfer:.0%}",
-            f"{row.normal_error:.1f} ({row.hull_normal_error:.1f})",
-            number(row.psnr, ".2f"),
+            runs[0].scene,
+            runs[0].kind,
+            f"{_mean(runs, 'chamfer'):.2f} ({runs[0].floor_chamfer:.2f}, {runs[0].hull_chamfer:.2f})",
+            _range([run.chamfer for run in runs]),
+            f"{_share(runs):.0%}",
+            f"{_mean(runs, 'normal_error'):.1f} ({runs[0].hull_normal_error:.1f})",
+            number(_mean(runs, "psnr"), ".2f"),
         ]
-        for row in sorted(rows, key=lambda row: row.chamfer / row.hull_chamfer)
+        for runs in scenes
     ]
     return markdown(head, cells)
 
 
-def _means(name: str, rows: Sequence[SetRow]) -> str:
-    count, above = len(rows), [row.scene for row in rows if row.chamfer > row.hull_chamfer]
-    chamfer, error = (sum(getattr(row, field) for row in rows) / count for field in ("chamfer", "normal_error"))
+def _range(values: Sequence[float]) -> str:
+    """Return the least and the largest of several values, nothing for one."""
+    return f"{min(values):.2f} to {max(values):.2f}" if len(values) > 1 else ""
+
+
+def _means(name: str, scenes: Sequence[Sequence[SetRow]]) -> str:
+    above = [runs[0].scene for runs in scenes if _share(runs) > 1]
+    chamfer, error = (np.mean([_mean(runs, field) for runs in scenes]) for field in ("chamfer", "normal_error"))
     worse = (
         (f" These scenes are worse than their hull: {', '.join(above)}.")
         if above
         else " No scene is worse than its hull."
     )
-    scenes = "1 scene" if count == 1 else f"{count} scenes"
+    count = "1 scene" if len(scenes) == 1 else f"{len(scenes)} scenes"
     return (
-        f"The {name} set's {scenes} have a mean Chamfer of {chamfer:.2f} and a mean normal error of {error:.1f} "
+        f"The {name} set's {count} have a mean Chamfer of {chamfer:.2f} and a mean normal error of {error:.1f} "
         f"degrees.{worse}"
     )
 
 
 def _gap(rows: Sequence[SetRow]) -> list[str]:
-    shares = [[row.chamfer / row.hull_chamfer for row in rows if row.set == name] for name in (TUNING, JUDGING)]
+    shares = [[_share(runs) for runs in _by_scene([r for r in rows if r.set == name])] for name in (TUNING, JUDGING)]
     if not all(shares):
         return []
-    tuning, judging = (sum(of_set) / len(of_set) for of_set in shares)
+    tuning, judging = (np.mean(of_set) for of_set in shares)
     return [
         f"On average, Chamfer is {tuning:.0%} of the hull's on the tuning set and {judging:.0%} on the judging set."
     ]

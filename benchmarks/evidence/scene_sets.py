@@ -48,7 +48,7 @@ def sets_section(rows: Sequence[SetRow]) -> str:
         f"tuned them. The preset is {presets}, the seeds are {seeds}, and the program is that of {commits}. `python -m "
         "benchmarks.scene_scores` makes these figures.",
         "The floor is the Chamfer of the true surface itself. It is not 0, as distances are between sampled points. A "
-        "scene with several seeds has the mean of its runs, and the range of their Chamfer.",
+        "scene with several seeds has the mean of its runs, followed by the range of their Chamfer.",
     ]
     for name in (TUNING, JUDGING):
         scenes = _by_scene([row for row in rows if row.set == name])
@@ -74,13 +74,12 @@ def _share(runs: Sequence[SetRow]) -> float:
 
 
 def _table(scenes: Sequence[Sequence[SetRow]]) -> str:
-    head = ["scene", "kind", "Chamfer (floor, hull)", "range", "of the hull's", "normal error (hull)", "PSNR"]
+    head = ["scene", "kind", "Chamfer (floor, hull)", "of the hull's", "normal error (hull)", "PSNR"]
     cells = [
         [
             runs[0].scene,
             runs[0].kind,
-            f"{_mean(runs, 'chamfer'):.2f} ({runs[0].floor_chamfer:.2f}, {runs[0].hull_chamfer:.2f})",
-            _range([run.chamfer for run in runs]),
+            f"{_mean_and_range(runs)} ({runs[0].floor_chamfer:.2f}, {runs[0].hull_chamfer:.2f})",
             f"{_share(runs):.0%}",
             f"{_mean(runs, 'normal_error'):.1f} ({runs[0].hull_normal_error:.1f})",
             number(_mean(runs, "psnr"), ".2f"),
@@ -90,9 +89,10 @@ def _table(scenes: Sequence[Sequence[SetRow]]) -> str:
     return markdown(head, cells)
 
 
-def _range(values: Sequence[float]) -> str:
-    """Return the least and the largest of several values, nothing for one."""
-    return f"{min(values):.2f} to {max(values):.2f}" if len(values) > 1 else ""
+def _mean_and_range(runs: Sequence[SetRow]) -> str:
+    """Return the mean Chamfer, followed by the least and the largest of several runs."""
+    values = [run.chamfer for run in runs]
+    return f"{np.mean(values):.2f}" + (f", {min(values):.2f} to {max(values):.2f}" if len(values) > 1 else "")
 
 
 def _means(name: str, scenes: Sequence[Sequence[SetRow]]) -> str:

@@ -82,7 +82,7 @@ def measured(scene: BenchmarkScene, path: Path, given: argparse.Namespace) -> Se
     if not (out / "report.json").is_file():
         run_scene(path, out, make_config(given.preset, overrides=[f"seed={given.seed}"]))
     report = json.loads((out / "report.json").read_text())
-    hull, floor = hull_scores(path), floor_scores(path)
+    hull, floor = reference_scores(path)
     return SetRow(
         scene=scene.name,
         set=scene.set.value,
@@ -99,18 +99,13 @@ def measured(scene: BenchmarkScene, path: Path, given: argparse.Namespace) -> Se
     )
 
 
-def hull_scores(path: Path) -> dict[str, float]:
-    """Return the scores of the visual hull of a scene's masks against its truth."""
+def reference_scores(path: Path) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the scores of the visual hull of a scene's masks, and of its true surface, against the truth."""
     scene = load_scene(path, make_config("standard").data)
-    options = StartConfig()
+    truth, options = find_truth(scene), StartConfig()
     hull = carve(silhouettes(scene.train, options.mask_side), np.zeros(3), 1.05, options.resolution)
-    return scores_of(Mesh(*hull_surface(hull)), scene, find_truth(scene))
-
-
-def floor_scores(path: Path) -> dict[str, float]:
-    """Return the scores of the true surface against itself."""
-    truth = find_truth(load_scene(path, make_config("standard").data))
-    return {} if truth is None else surface_metrics(truth.mesh, truth)
+    floor = {} if truth is None else surface_metrics(truth.mesh, truth)
+    return scores_of(Mesh(*hull_surface(hull)), scene, truth), floor
 
 
 def scores_of(mesh: Mesh, scene: Scene, truth: TrueSurface | None) -> dict[str, float]:

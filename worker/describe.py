@@ -15,7 +15,7 @@ from typing import Any, Union, get_args, get_origin
 
 from mgsr import __version__
 from mgsr.config import METHODS, PRESETS, RENAMED, Config, field_types
-from mgsr.config.options import Pattern, Range, patterns, ranges
+from mgsr.config.options import Pattern, Range, marks
 from service import contract
 from worker.comments import field_comments
 
@@ -29,7 +29,7 @@ def describe_library() -> dict[str, Any]:
     """
     defaults = Config()
     settings = {
-        path: _schema(kind, _range(defaults, path), _pattern(defaults, path))
+        path: _schema(kind, _valid(defaults, path))
         | _meaning(defaults, path, kind)
         | {"default": _value(defaults, path)}
         for path, kind in field_types(defaults).items()
@@ -44,30 +44,24 @@ def as_text(library: dict[str, Any]) -> str:
     return json.dumps(library, indent=1) + "\n"
 
 
-def _range(defaults: Config, path: str) -> Range:
-    """Return the valid values of a number; no setting may be negative (`mgsr.config.validate`)."""
+def _valid(defaults: Config, path: str) -> Range | Pattern:
+    """Return the valid values of a number or a text; no setting may be negative (`mgsr.config.validate`)."""
     group, _, name = path.rpartition(".")
-    return ranges(type(_value(defaults, group))).get(name, Range())
+    return marks(type(_value(defaults, group))).get(name, Range())
 
 
-def _pattern(defaults: Config, path: str) -> Pattern | None:
-    """Return the form of a text; None for a setting without one."""
-    group, _, name = path.rpartition(".")
-    return patterns(type(_value(defaults, group))).get(name)
-
-
-def _schema(kind: Any, valid: Range, form: Pattern | None) -> dict[str, Any]:
+def _schema(kind: Any, valid: Range | Pattern) -> dict[str, Any]:
     if get_origin(kind) in (Union, types.UnionType):
         inner = next(part for part in get_args(kind) if part is not type(None))
-        return {"anyOf": [_schema(inner, valid, form), {"type": "null"}]}
+        return {"anyOf": [_schema(inner, valid), {"type": "null"}]}
     if issubclass(kind, StrEnum):
         return {"type": "string", "enum": [str(member) for member in kind]}
+    if isinstance(valid, Pattern):
+        return {"type": "string", "pattern": f"^({valid.regex})$", "examples": [valid.example]}
     if kind in (int, float):
         least = {"exclusiveMinimum" if valid.open else "minimum": valid.least}
         most = {} if valid.most == math.inf else {"maximum": valid.most}
         return {"type": {int: "integer", float: "number"}[kind], **least, **most}
-    if form is not None:
-        return {"type": "string", "pattern": f"^({form.regex})$", "examples": [form.example]}
     return {"type": {bool: "boolean", str: "string"}[kind]}
 
 

@@ -40,12 +40,12 @@ def sets_section(rows: Sequence[SetRow]) -> str:
     """Return the tables of both sets and their means; empty without rows."""
     if not rows:
         return ""
-    presets, seeds = ", ".join(sorted({row.preset for row in rows})), ", ".join(sorted({str(row.seed) for row in rows}))
+    presets, seeds = (", ".join(sorted({str(getattr(row, name)) for row in rows})) for name in ("preset", "seed"))
     commits = ", ".join(dict.fromkeys(row.commit for row in rows))
     parts = [
         "## The tuning set and the judging set",
         "Settings are chosen on the tuning set alone. The judging set shows how they do on scenes for which nobody "
-        f"tuned them. The preset is {presets}, the seeds are {seeds}, and the program is that of {commits}. `python -m "
+        f"tuned them. Preset: {presets}. Seed: {seeds}. Commit of the program: {commits}. `python -m "
         "benchmarks.scene_scores` makes these figures.",
         "The floor is the Chamfer of the true surface itself. It is not 0, as distances are between sampled points. A "
         "scene with several seeds has the mean of its runs, followed by the range of their Chamfer.",

@@ -66,17 +66,17 @@ class Options:
 
 def ranges(kind: type) -> Mapping[str, Range]:
     """Return the valid range of each field of a dataclass that has one."""
-    return {name: mark for name, mark in _marks(kind).items() if isinstance(mark, Range)}
+    return {name: mark for name, mark in marks(kind).items() if isinstance(mark, Range)}
 
 
-def patterns(kind: type) -> Mapping[str, Pattern]:
-    """Return the pattern of each field of a dataclass that has one."""
-    return {name: mark for name, mark in _marks(kind).items() if isinstance(mark, Pattern)}
+def marks(kind: type) -> Mapping[str, Range | Pattern]:
+    """Return the range or the pattern of each field of a dataclass that has one."""
+    return _marks(kind)
 
 
 @cache
 def _marks(kind: Any) -> Mapping[str, Range | Pattern]:
-    """Return the range or the pattern of each field that has one, read from the annotations only once."""
+    """Return `marks`, which are read from the annotations only once."""
     hints = get_type_hints(kind, include_extras=True)
-    marks = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
-    return {name: part for name, parts in marks.items() for part in parts if isinstance(part, Range | Pattern)}
+    found = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
+    return {name: part for name, parts in found.items() for part in parts if isinstance(part, Range | Pattern)}

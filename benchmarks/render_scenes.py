@@ -293,6 +293,19 @@ def basket() -> trimesh.Trimesh:
     return union([bottom, *staves, *(part for hoop in hoops for part in along_line(rod, hoop, ROD_THICKNESS))], 0.0085)
 
 
+def lantern() -> trimesh.Trimesh:
+    """Return a lantern, with 19 handles: ten bent rods over a round plate, a ring around them and a candle inside."""
+    bend = np.linspace(0, np.pi / 2, 9)
+    profile = np.stack([0.6 * np.cos(bend), -0.7 + 1.5 * np.sin(bend)], axis=1)
+    angles = np.arange(10) * 2 * np.pi / 10
+    arches = [np.stack([profile[:, 0] * np.cos(a), profile[:, 0] * np.sin(a), profile[:, 1]], axis=1) for a in angles]
+    ring = np.stack([arch[3] for arch in [*arches, arches[0]]])
+    rods = [part for points in [*arches, ring] for part in along_line(rod, points, ROD_THICKNESS)]
+    bottom = turned(np.array([0.0, -0.7]), np.array([0.6, -0.7]), PLATE_THICKNESS)
+    candle = rod(np.array([0, 0, -0.65]), np.array([0, 0, -0.1]), STEM_THICKNESS)
+    return union([bottom, candle, *rods], cell=0.0085)
+
+
 def mushroom() -> trimesh.Trimesh:
     """Return a mushroom: a cap of width 1.8, a stem, and 24 gills that hang between the two."""
     cap = np.array([0.86, 0.6, 0.15])  # radius, height and the z of the rim
@@ -318,6 +331,7 @@ SHAPES = {
     Shape.RACK: rack,
     Shape.CHAIR: chair,
     Shape.BASKET: basket,
+    Shape.LANTERN: lantern,
     Shape.MUSHROOM: mushroom,
     Shape.VASE: vase,
 }

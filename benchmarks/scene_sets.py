@@ -51,6 +51,7 @@ class Shape(StrEnum):
     RACK = "rack"
     CHAIR = "chair"
     BASKET = "basket"
+    LANTERN = "lantern"
     MUSHROOM = "mushroom"
     VASE = "vase"
 
@@ -202,7 +203,7 @@ RENDERED = (
     BenchmarkScene(
         "rack_soft",
         Kind.THIN,
-        SceneSet.JUDGING,
+        SceneSet.TUNING,
         Shape.RACK,
         "--up z --tilt 25 --rotz 35 --solid checker --freq 9 --color 0.72,0.66,0.50 --color2 0.18,0.10,0.12 "
         "--light soft --seed 305",
@@ -222,6 +223,14 @@ RENDERED = (
         Shape.BASKET,
         "--up z --tilt 15 --rotz 5 --solid blobs --freq 7 --color 0.70,0.56,0.34 --color2 0.16,0.10,0.12 "
         "--light soft --seed 405",
+    ),
+    BenchmarkScene(
+        "lantern_sky",
+        Kind.THIN,
+        SceneSet.JUDGING,
+        Shape.LANTERN,
+        "--up z --tilt 20 --rotz 25 --solid checker --freq 7 --color 0.60,0.62,0.48 --color2 0.14,0.16,0.22 "
+        "--material plastic --roughness 0.2 --light sky --seed 407",
     ),
     BenchmarkScene(
         "cow_upper_exposure",

@@ -14,6 +14,7 @@ from mgsr.data.camera import Camera
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.background import BackgroundSources, Window
+from mgsr.segmentation.color_models import ColorModels
 from mgsr.segmentation.random_walker import random_walker
 from mgsr.training.views import bounding_region
 
@@ -58,11 +59,13 @@ def matte(
     sources: BackgroundSources,
     silhouette: np.ndarray | None = None,
     options: MatteOptions = MatteOptions(),
+    models: ColorModels | None = None,
 ) -> Matte:
     """Compute the object's matte in a photograph, inside a region [H,W] bool.
 
     image [H,W,3] uint8 sRGB. surfels: the object's. silhouette [H,W]: signed distances to the silhouette of the
-    object's hull, in pixels, positive inside; None while the hull is unknown.
+    object's hull, in pixels, positive inside; None while the hull is unknown. models: the colour models, which count
+    where the background is unknown; None while they are unknown.
     """
     found = Matte(np.zeros(region.shape, np.float32), np.zeros(region.shape, bool), np.zeros(region.shape, bool))
     bounds = bounding_region(region, options.margin)
@@ -80,6 +83,11 @@ def matte(
     tested, above = np.isfinite(background.behind), _cost(background.above, options.guessed**2, options)
     as_background = np.where(tested, _cost(background.behind, options.guessed**2, options), as_background)
     as_object = np.where(tested, np.minimum(as_object, above), as_object)
+    if models is not None and tested.any():
+        # Each label needs both: photo-consistency where it places the pixel, and a colour that its model knows.
+        unlike_object, unlike_support = (np.minimum(cost, options.max_cost) for cost in models.costs(part[tested]))
+        as_object[tested] = np.maximum(as_object[tested], unlike_object)
+        as_background[tested] = np.maximum(as_background[tested], unlike_support)
     # Where both costs are equal, the image's edges decide.
     towards = as_background - as_object
     for_object, for_background = np.maximum(towards, 0), np.maximum(-towards, 0)

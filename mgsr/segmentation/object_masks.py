@@ -3,8 +3,9 @@
 A 2D branch is trained briefly on small photographs of the whole scene. The object's first surfels are the connected
 piece that stands on the support plane near the scene's centre. A few rounds then refine masks and surfels in turn:
 
-1. Each photograph is compared with its expected background and with the object's rendered surfels. A random walker
-   turns both costs into a matte.
+1. Each photograph is compared with its expected background and with the object's rendered surfels. Where the
+   background is unknown, photo-consistency and the colours of object and support plane decide. A random walker turns
+   both costs into a matte.
 2. The visual hull of the mattes tolerates errors in a few of them. Its surface gives each view's silhouette.
 3. The surfels in the hull that certainly hide the background become the object's.
 
@@ -32,6 +33,7 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import map_ahead
 from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.background import BackgroundSources
+from mgsr.segmentation.color_models import ColorModels, color_models, near_on_plane
 from mgsr.segmentation.consensus import silhouette, tolerant_hull
 from mgsr.segmentation.mattes import Matte, first_region, hull_region, matte
 from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
@@ -140,6 +142,7 @@ class _Search:
         self._images = [view.image for view in views]
         self._pixel = pixel_size(self._cameras, np.zeros(3))
         self._hull: Hull | None = None
+        self._models: ColorModels | None = None
         self.labels = first.standing
         self.silhouettes: list[np.ndarray] | None = None
         columns = _columns(some_surfels(self._model, first.standing), first.plane, options.search.copies)
@@ -158,7 +161,9 @@ class _Search:
             if self.silhouettes is None:
                 return matte(image, camera, first_region(mask, mattes), surfels, sources, options=mattes)
             inside = self.silhouettes[index]
-            return matte(image, camera, hull_region(mask, inside, mattes), surfels, sources, inside, mattes)
+            return matte(
+                image, camera, hull_region(mask, inside, mattes), surfels, sources, inside, mattes, self._models
+            )
 
         found = list(map_ahead(made, range(len(self._images)), None))
         self.masks = [each.share > 0.5 for each in found]
@@ -170,6 +175,7 @@ class _Search:
         caster = Mesh(*hull_surface(self._hull)).caster
         self.silhouettes = [silhouette(caster, camera) for camera in self._cameras]
         inside = self._hull.values(self._model.means.numpy().astype(np.float64)) > -own.around * self._pixel
+        self._models = self._color_models(found)
         self.labels = inside & (first.heights > own.raised * self._pixel) & self._sure(found)
 
     def last_masks(self, train: Sequence[View], test: Sequence[View]) -> list[np.ndarray]:
@@ -191,7 +197,7 @@ class _Search:
             longest = max(camera.width, camera.height)
             inside = silhouette(caster, camera) / max(1.0, longest / own.side)  # in pixels of the small photographs
             region = hull_region(inside > 0, inside, mattes)
-            found = matte(pair[1].image, camera, region, surfels, sources, inside, mattes)
+            found = matte(pair[1].image, camera, region, surfels, sources, inside, mattes, self._models)
             outer = np.where(inside > -own.beside, found.share, 0)
             share = np.where(inside > own.filled, 1, outer).astype(np.float32)
             size = view.camera.width, view.camera.height
@@ -212,16 +218,11 @@ class _Search:
         """
         import cv2  # late: training needs no OpenCV
 
-        own, background = self._options.search, self._options.background
-        around = np.ones((2 * own.blocked + 1,) * 2, np.uint8)
-        wide = self.masks
-        if self.silhouettes is not None:
-            wide = [mask | (inside > -1) for mask, inside in zip(self.masks, self.silhouettes, strict=True)]
-        blocked = [ndimage.binary_fill_holes(cv2.dilate(mask.astype(np.uint8), around) > 0) for mask in wide]
+        own, background, blocked = self._options.search, self._options.background, self._blocked()
         lifted, _ = lifted_labels(self._model, [mask[..., None] for mask in blocked], self._cameras)
         behind = ~self.labels & (lifted[:, 0] < 0.5) & (self._first.heights > -own.reflected * self._pixel)
         surfels = some_surfels(self._model, behind)
-        clear = [255 * (~mask).astype(np.uint8) for mask in blocked]
+        clear: list[np.ndarray] = [255 * (~mask).astype(np.uint8) for mask in blocked]
         if larger is None:
             return BackgroundSources(self._cameras, self._images, clear, surfels, self._first.plane, background)
         cameras, images = [view.camera for view in larger], [view.image for view in larger]
@@ -230,6 +231,33 @@ class _Search:
             for mask, camera in zip(clear, cameras, strict=True)
         ]
         return BackgroundSources(cameras, images, clear, surfels, self._first.plane, background)
+
+    def _blocked(self) -> list[np.ndarray]:
+        """Return the pixels [H,W] bool of each photograph that do not count as background: mask and silhouette."""
+        import cv2  # late: training needs no OpenCV
+
+        around = np.ones((2 * self._options.search.blocked + 1,) * 2, np.uint8)
+        wide: list[np.ndarray] = self.masks
+        if self.silhouettes is not None:
+            wide = [mask | (inside > -1) for mask, inside in zip(self.masks, self.silhouettes, strict=True)]
+        return [np.asarray(ndimage.binary_fill_holes(cv2.dilate(mask.astype(np.uint8), around) > 0)) for mask in wide]
+
+    def _color_models(self, found: Sequence[Matte]) -> ColorModels | None:
+        """Return the colour models, from the small photographs and their mattes; None without a support plane."""
+        box, plane, silhouettes = self._first.box, self._first.plane, self.silhouettes
+        if plane is None or silhouettes is None:
+            return None
+        own, deep = self._options.colors, self._options.search.filled
+        reach = own.reach * float(np.linalg.norm(box[1] - box[0]))
+        objects = [
+            each.sure & mask & (inside > deep)
+            for each, mask, inside in zip(found, self.masks, silhouettes, strict=True)
+        ]
+        supports = [
+            near_on_plane(camera, plane, box.mean(axis=0), reach) & ~blocked
+            for camera, blocked in zip(self._cameras, self._blocked(), strict=True)
+        ]
+        return color_models(self._images, objects, supports, own)
 
     def _sure(self, found: Sequence[Matte]) -> np.ndarray:
         """Return the surfels [N] bool whose pixels mostly hide the background for certain.

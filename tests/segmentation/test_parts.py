@@ -9,7 +9,13 @@ import pytest
 import torch
 from scipy import ndimage
 
-from mgsr.config.expert import MatteOptions, RandomWalkerOptions, SupportPlaneOptions, TolerantHullOptions
+from mgsr.config.expert import (
+    ColorModelOptions,
+    MatteOptions,
+    RandomWalkerOptions,
+    SupportPlaneOptions,
+    TolerantHullOptions,
+)
 from mgsr.data.camera import Camera
 from mgsr.data.hull import hull_surface
 from mgsr.gaussians.start import SH_CONSTANT
@@ -18,8 +24,9 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.background import BackgroundSources
+from mgsr.segmentation.color_models import color_models, near_on_plane
 from mgsr.segmentation.consensus import silhouette, tolerant_hull
-from mgsr.segmentation.mattes import first_region, hull_region, without_small_holes
+from mgsr.segmentation.mattes import first_region, hull_region, matte, without_small_holes
 from mgsr.segmentation.random_walker import random_walker
 from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane, upward
@@ -189,6 +196,62 @@ def test_photo_consistency_tells_table_from_object_where_no_photograph_is_clear(
         on_table.append(differs[asked & ~apart[1]])
     assert (np.concatenate(on_table) < 0.002).mean() > 0.95
     assert (np.concatenate(on_object) > 0.002).mean() > 0.6
+
+
+def test_colour_models_compare_with_the_nearest_samples() -> None:
+    """Check the costs against all distances, computed one by one."""
+    random = np.random.default_rng(0)
+    images = [random.integers(0, 256, (12, 10, 3)).astype(np.uint8) for _ in range(2)]
+    objects = [random.random((12, 10)) < 0.3 for _ in images]
+    supports = [~mask for mask in objects]
+    options = ColorModelOptions(samples=40_000, neighbours=3, deviation=0.1, shades=2, darkest=0.5)
+    models = color_models(images, objects, supports, options)
+    assert models is not None
+    asked = random.random((9, 3))
+    sure, plane = (
+        np.concatenate([i[m] for i, m in zip(images, masks, strict=True)]) / 255 for masks in (objects, supports)
+    )
+    for costs, colors in zip(models.costs(asked), (sure, np.concatenate([plane, plane / 2])), strict=True):
+        nearest = np.linalg.norm(asked[:, None] - colors, axis=-1).min(axis=1)  # each colour is drawn more than thrice
+        np.testing.assert_allclose(costs, nearest**2 / (2 * 0.1**2), rtol=1e-4)
+    assert color_models(images, [np.zeros((12, 10), bool)] * 2, supports, options) is None
+
+
+def test_pixels_on_the_plane_near_a_point_are_found() -> None:
+    plane, middle = SupportPlane(np.array([0.0, 0.0, 1.0]), -TABLE), np.array([0.0, 0.0, TABLE])
+    ring = middle + 0.5 * np.array([[np.cos(a), np.sin(a), 0] for a in np.linspace(0, 6, 40)])
+    for camera in cameras():
+        near = near_on_plane(camera, plane, middle, 0.7)
+        columns, rows = np.floor(camera.project(ring)[0]).astype(int).T
+        assert near[rows, columns].all() and not near_on_plane(camera, plane, middle, 0.3)[rows, columns].any()
+        assert not near[pixel_rays(camera)[..., 2] >= 0].any()
+
+
+def test_colours_tell_table_from_object_where_no_photograph_is_clear() -> None:
+    scene, truth = table_scene(size=96)
+    seen, images = [view.camera for view in scene.train], [view.image for view in scene.train]
+    plane = SupportPlane(np.array([0.0, 0.0, 1.0]), -TABLE)
+    unclear = [np.zeros(view.image.shape[:2], np.uint8) for view in scene.train]
+    sources = BackgroundSources(seen, images, unclear, surfels(0), plane)
+    around = [ndimage.binary_dilation(mask, iterations=8) for mask in truth]
+    inside = [ndimage.binary_erosion(mask, iterations=3) for mask in truth]
+    near = [near_on_plane(camera, plane, np.array([0, 0, TABLE]), 1.5) for camera in seen]
+    supports = [where & ~wide for where, wide in zip(near, around, strict=False)]
+    models = color_models(images, inside[: len(seen)], supports)
+    assert models is not None
+    right, wrong = [], []
+    for index in range(0, len(seen), 4):
+        region = around[index] & near[index]  # the pillar, the lower part of the ball, and the table beside them
+        clear = region & (inside[index] | ~ndimage.binary_dilation(truth[index], iterations=2))
+        unlike_object, unlike_support = models.costs(images[index][clear] / np.float32(255))
+        right.append(((unlike_object < unlike_support) == truth[index][clear]).mean())
+        found = [
+            matte(images[index], seen[index], region, surfels(0), sources, models=each).share > 0.5
+            for each in (None, models)
+        ]
+        wrong.append([(mask != truth[index])[region].mean() for mask in found])
+    without, told = np.mean(wrong, axis=0)
+    assert np.mean(right) > 0.97 and told < 0.9 * without, (right, without, told)
 
 
 def test_small_holes_of_a_matte_are_filled_and_large_ones_left() -> None:

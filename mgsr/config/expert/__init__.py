@@ -53,6 +53,7 @@ from mgsr.config.expert.mesh import (
 )
 from mgsr.config.expert.segmentation import (
     BackgroundRenderOptions,
+    ColorModelOptions,
     MatteOptions,
     ObjectSearchOptions,
     RandomWalkerOptions,
@@ -114,6 +115,7 @@ __all__ = [
     "BudgetOptions",
     "CameraSearchOptions",
     "ChartOptions",
+    "ColorModelOptions",
     "ColorOptions",
     "ConsistencyOptions",
     "ContourOptions",

@@ -59,6 +59,18 @@ class RandomWalkerOptions(Options):
 
 
 @dataclass(frozen=True)
+class ColorModelOptions(Options):
+    """The colour models of the object and of the support plane, which judge places that no photograph shows clearly."""
+
+    samples: Count = 20_000  # colours to draw for each model
+    neighbours: Count = 20  # the distance to the nearest sample of this rank counts
+    deviation: Positive = 0.015  # standard deviation of a colour from its model
+    reach: Positive = 1.0  # diagonals of the object's box around its middle within which the plane is sampled
+    shades: Count = 4  # copies of the plane's colours from full to least brightness, for contact shadows
+    darkest: Share = 0.75  # least brightness, as a factor of the sRGB values
+
+
+@dataclass(frozen=True)
 class MatteOptions(Options):
     """The mattes of the object. A cost is a squared colour difference over twice a variance."""
 
@@ -126,3 +138,4 @@ class SegmentationConfig(Options):
     background: BackgroundRenderOptions = field(default_factory=BackgroundRenderOptions)
     hull: TolerantHullOptions = field(default_factory=TolerantHullOptions)
     mattes: MatteOptions = field(default_factory=MatteOptions)
+    colors: ColorModelOptions = field(default_factory=ColorModelOptions)

@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from PIL import Image
 
 from benchmarks.render_scenes import SHARED
 from mgsr.bench.csv_rows import read_csv, write_csv
@@ -48,8 +49,9 @@ class PlainRow:
 
     placed: photographs or frames whose cameras were found. position_mean, position_max: errors of the cameras' places,
     percent of their distance from the object; direction_mean: of their viewing directions, degrees. object_chamfer,
-    whole_chamfer: thousandths of the object's radius; foreign_area: percent. cameras, seconds: of the search for
-    cameras, and of the whole run.
+    whole_chamfer: thousandths of the object's radius; foreign_area: percent. mask_iou: the mean intersection over union
+    of found and true masks; None for a video, whose frames have no true masks, and where no object was found. cameras,
+    seconds: of the search for cameras, and of the whole run.
     """
 
     scene: str
@@ -62,6 +64,7 @@ class PlainRow:
     object_chamfer: float
     whole_chamfer: float
     foreign_area: float
+    mask_iou: float | None
     psnr: float
     cameras: float
     seconds: float
@@ -120,7 +123,6 @@ def make_input(scene: Path, kind: Input, folder: Path) -> Path:
 def film(path: Path, photographs: list[Path]) -> None:
     """Write photographs as the frames of a video."""
     import av
-    from PIL import Image
 
     pictures = [np.asarray(Image.open(photograph).convert("RGB")) for photograph in photographs]
     with av.open(str(path), "w") as container:
@@ -158,6 +160,7 @@ def scored(scene: Path, kind: Input, out: Path, given: argparse.Namespace) -> Pl
         object_chamfer=1000 * surface["object_chamfer"],
         whole_chamfer=1000 * surface["whole_chamfer"],
         foreign_area=100 * surface["foreign_area"],
+        mask_iou=None if kind is Input.VIDEO else mask_overlap(scene, out),
         psnr=report["psnr_test"],
         cameras=report["seconds"].get("cameras", 0.0),
         seconds=report["seconds"]["total"],
@@ -191,6 +194,15 @@ def surface_scores(scene: Path, out: Path, placing: np.ndarray, tools: Path) -> 
     tool = [sys.executable, str(tools / "evaluate_handheld.py"), str(scene), "--mesh", str(out / "mesh_placed.ply")]
     answer: dict[str, float] = json.loads(subprocess.run(tool, check=True, capture_output=True, text=True).stdout)
     return answer
+
+
+def mask_overlap(scene: Path, out: Path) -> float | None:
+    """Return the mean intersection over union of a run's masks and the true ones; None where it found no object."""
+    overlaps = []
+    for path in sorted((out / "masks").glob("**/*.png")):
+        found, true = (np.asarray(Image.open(each)) > 127 for each in (path, scene / "truth" / "masks" / path.name))
+        overlaps.append((found & true).sum() / (found | true).sum())
+    return float(np.mean(overlaps)) if overlaps else None
 
 
 if __name__ == "__main__":

@@ -159,10 +159,7 @@ class BackgroundSources:
         depth = np.where((depth > 0) & (alpha > self.options.covered), depth, np.inf)
         rays = pixel_rays(camera)[window]
         if self.plane is not None:
-            slope = rays @ self.plane.normal
-            with np.errstate(divide="ignore"):
-                plane = -self.plane.heights(camera.center[None])[0] / slope
-            plane = np.where((plane > 0) & np.isfinite(plane), plane, np.inf)
+            plane = self.plane.depth(camera.center, rays)
             hit = camera.center + rays * np.where(np.isfinite(plane), plane, 0)[..., None]
             near = np.isfinite(plane) & (np.linalg.norm(hit, axis=-1) < self.options.plane_radius)
             depth = np.where(near & (plane < self.options.plane_first * depth), plane, depth)

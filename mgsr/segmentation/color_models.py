@@ -69,9 +69,7 @@ def near_on_plane(camera: Camera, plane: SupportPlane, middle: np.ndarray, reach
     reach: the distance, in the world's unit.
     """
     rays = pixel_rays(camera)
-    slope = rays @ plane.normal
-    with np.errstate(divide="ignore"):
-        depth = -plane.heights(camera.center[None])[0] / slope
-    ahead = np.isfinite(depth) & (depth > 0)
+    depth = plane.depth(camera.center, rays)
+    ahead = np.isfinite(depth)
     hit = camera.center + rays * np.where(ahead, depth, 0)[..., None]
     return np.asarray(ahead & (np.linalg.norm(hit - middle, axis=-1) < reach))

@@ -30,6 +30,15 @@ class SupportPlane:
         """Return the signed heights [P] of points [P,3] above the plane, in the world's unit."""
         return np.asarray(points @ self.normal + self.offset)
 
+    def depth(self, center: np.ndarray, rays: np.ndarray) -> np.ndarray:
+        """Return the camera z [H,W] at which a camera's rays meet the plane, infinite where they do not.
+
+        center [3]: the camera's centre in the world frame. rays [H,W,3]: see `pixel_rays`.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = -self.heights(center[None])[0] / (rays @ self.normal)
+        return np.where((depth > 0) & np.isfinite(depth), depth, np.inf)
+
 
 def upward(cameras: Sequence[Camera]) -> np.ndarray:
     """Return the cameras' mean upward direction [3], a unit vector in the world frame."""

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from mgsr.config import Config, DataConfig, make_config
     from mgsr.data.camera import Camera
     from mgsr.data.readers import load_scene
-    from mgsr.data.scene import Scene, View
+    from mgsr.data.scene import Scene, Similarity, View
     from mgsr.errors import (
         ArchiveError,
         Cancelled,
@@ -32,13 +32,19 @@ if TYPE_CHECKING:
     from mgsr.gaussians.environment_map import EnvironmentMap
     from mgsr.gaussians.gaussians import GaussianModel
     from mgsr.gaussians.surfels import SurfelModel
+    from mgsr.gaussians.trained_model import TrainedModel
     from mgsr.geometry.mesh import Mesh
     from mgsr.inspection.findings import Inspection
     from mgsr.inspection.inspect import inspect_scene
+    from mgsr.mesh.steps.step import StepReport
     from mgsr.mesh.surface import ReconstructedMesh
     from mgsr.pipeline.novel_view import render
     from mgsr.pipeline.progress import Event
     from mgsr.pipeline.reconstruction import Reconstruction, load_result, reconstruct
+    from mgsr.pipeline.result_paths import ResultPaths
+    from mgsr.report.data import ReportData
+    from mgsr.shading.light_estimate import LightKind
+    from mgsr.shading.lighting import Lighting
 
 __version__ = "0.1.0"
 
@@ -55,6 +61,8 @@ __all__ = [
     "GaussianModel",
     "GpuError",
     "Inspection",
+    "LightKind",
+    "Lighting",
     "LostCardError",
     "Mesh",
     "MeshError",
@@ -63,10 +71,15 @@ __all__ = [
     "ReconstructedMesh",
     "Reconstruction",
     "Rendering",
+    "ReportData",
+    "ResultPaths",
     "Scene",
     "SceneError",
+    "Similarity",
+    "StepReport",
     "SurfelModel",
     "TensorError",
+    "TrainedModel",
     "TrainingError",
     "View",
     "__version__",
@@ -89,7 +102,14 @@ _MODULES = {
     "ReconstructedMesh": "mgsr.mesh.surface",
     "Reconstruction": "mgsr.pipeline.reconstruction",
     "Rendering": "mgsr.export.renders",
+    "LightKind": "mgsr.shading.light_estimate",
+    "Lighting": "mgsr.shading.lighting",
+    "ReportData": "mgsr.report.data",
+    "ResultPaths": "mgsr.pipeline.result_paths",
     "Scene": "mgsr.data.scene",
+    "Similarity": "mgsr.data.scene",
+    "StepReport": "mgsr.mesh.steps.step",
+    "TrainedModel": "mgsr.gaussians.trained_model",
     "SurfelModel": "mgsr.gaussians.surfels",
     "View": "mgsr.data.scene",
     "GaussianModel": "mgsr.gaussians.gaussians",

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 
 import mgsr
-from mgsr.cli.demo import find_example
 from mgsr.native.runtime import FAMILIES, isas
 from mgsr.ops.depth_normals import depth_to_normals
+from mgsr.pipeline.example import find_example
 
 scene = mgsr.load_scene(find_example())
 camera = scene.train[0].camera

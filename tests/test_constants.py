@@ -209,6 +209,7 @@ REMAINING = {
     "mesh/relighting.SAMPLES": PICTURES,
     "mesh/relighting.SOFT_BOXES": PICTURES,
     "mesh/relighting.SOFT_EDGE": PICTURES,
+    "mesh/pixels.STEEPEST": TERMS,
     "mesh/pixels._ALL": MATHEMATICS,
     "mesh/pixels._HEAD": MATHEMATICS,
     "mesh/pixels._TAIL": MATHEMATICS,

@@ -9,9 +9,7 @@ import typer
 
 from mgsr.cli.options import DeviceOption, PresetOption, ResumeOption, refusals
 from mgsr.cli.run import run
-from mgsr.errors import MgsrError
-
-EXAMPLE = Path("examples/glossy_knot")
+from mgsr.pipeline.example import find_example
 
 DemoOutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder for the results.")]
 
@@ -26,18 +24,3 @@ def demo(
     with refusals(resumes=True):
         scene = find_example()
     run(scene, out, preset=preset, device=device, resume=resume)
-
-
-def find_example() -> Path:
-    """Find the example capture, inside an installed package or beside it in the sources.
-
-    Raises MgsrError where there is none.
-    """
-    package = Path(__file__).resolve().parents[1]
-    for folder in (package, package.parent):
-        if (folder / EXAMPLE).is_dir():
-            return folder / EXAMPLE
-    raise MgsrError(
-        f"the example capture {EXAMPLE} is neither in {package} nor in {package.parent}; reinstall MGSR, or "
-        "reconstruct photographs of your own with `mgsr run`"
-    )

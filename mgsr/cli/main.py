@@ -53,16 +53,9 @@ def info(scene: SceneArgument, settings: SetOption = None) -> None:
     """Read SCENE as a run does, and print its contents. What a run would refuse is refused."""
     with refusals():
         config = make_config(overrides=settings or [])
-        from mgsr.data.find_cameras import facts_without_cameras
-        from mgsr.data.readers import find_capture, load_capture
-        from mgsr.pipeline.run_metadata import scene_facts
+        from mgsr.pipeline.run_metadata import capture_facts
 
-        found = find_capture(scene, config.data)
-        if found.kind is None:
-            facts = facts_without_cameras(found)
-        else:
-            facts = scene_facts(load_capture(found, config.data, options=config.expert.data)).to_json()
-        for name, value in facts.items():
+        for name, value in capture_facts(scene, config).items():
             print(f"{name:16} {', '.join(map(str, value)) if isinstance(value, list) else value}")
 
 

@@ -48,7 +48,7 @@ def find_mask_use(
     same_pixels = borders >= options.strip_border and _agreement_in_image(masks, options) > options.same_pixels
     if agreement < options.ignored or (same_pixels and _black_corners(masks) <= 2):
         return MaskUse.IGNORE
-    if agreement > options.inverted and inverted_masks(masks):
+    if agreement > options.inverted and inverted_masks(masks, options):
         raise SceneError(
             "the masks are inverted, white around the object and black on it; make them white on the object, or "
             + _CHOICE

@@ -58,22 +58,22 @@ def white_borders(masks: Sequence[np.ndarray]) -> float:
     return float((np.concatenate(borders) >= 128).mean())
 
 
-def inverted_masks(masks: Sequence[np.ndarray]) -> bool:
+def inverted_masks(masks: Sequence[np.ndarray], options: MaskUseOptions = MaskUseOptions()) -> bool:
     """Return whether masks [H,W] uint8 are white around a black object.
 
-    They are where in nearly all views the border is white and the black part lies apart from it, in the middle.
+    In nearly all of them, the border is then white, and the black part lies apart from it, in the middle.
     """
-    return sum(map(_looks_inverted, masks)) > 0.9 * len(masks)
+    return sum(_looks_inverted(mask, options) for mask in masks) > options.inverted_views * len(masks)
 
 
-def _looks_inverted(mask: np.ndarray) -> bool:
+def _looks_inverted(mask: np.ndarray, options: MaskUseOptions) -> bool:
     """Return whether a mask [H,W] uint8 is white along nearly the whole border and black around the middle."""
     border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
-    if (border > 127).mean() < 0.95:
+    if (border > 127).mean() < options.inverted_border:
         return False
     rows, cols = np.nonzero(mask < 128)
     # A few specks of black are holes in a mask of something that fills the picture.
-    if len(rows) < 0.01 * mask.size:
+    if len(rows) < options.inverted_black * mask.size:
         return False
     middle = rows.mean() / mask.shape[0], cols.mean() / mask.shape[1]
-    return all(0.2 < place < 0.8 for place in middle)
+    return all(options.inverted_middle < place < 1 - options.inverted_middle for place in middle)

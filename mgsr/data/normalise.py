@@ -40,24 +40,26 @@ def normalisation(
     return Similarity(*_swapped(unmasked_ball([whole_part(view).camera for view in views], points, options)))
 
 
-def focus(origins: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
+def focus(
+    origins: np.ndarray, directions: np.ndarray, options: NormalisationOptions = NormalisationOptions()
+) -> np.ndarray | None:
     """Return the point [3] nearest to rays [V,3], by least squares, without the rays that miss it by far.
 
-    None if the rays are nearly parallel or the point lies behind a fifth of them or more.
+    None if the rays are nearly parallel, or if the point lies behind too many of the cameras.
     """
     keep = np.ones(len(origins), dtype=bool)
     for _ in range(4):
         across = np.eye(3) - directions[keep, :, None] * directions[keep, None, :]
         total = across.sum(axis=0)
         # The least eigenvalue is the mean squared sine between the rays and their main direction.
-        if np.linalg.eigvalsh(total)[0] < 0.02 * keep.sum():
+        if np.linalg.eigvalsh(total)[0] < options.parallel * keep.sum():
             return None
         point = np.linalg.solve(total, np.einsum("vij,vj->i", across, origins[keep]))
         offset = point - origins
         miss = np.linalg.norm(np.cross(directions, offset), axis=1)
         keep = miss <= 3 * np.median(miss) + 1e-9
     ahead = (offset * directions).sum(axis=1) > 0
-    return point if ahead.mean() > 0.8 else None
+    return point if ahead.mean() > options.ahead else None
 
 
 def smallest_ball(points: np.ndarray, steps: int = 2000) -> tuple[np.ndarray, float]:
@@ -80,10 +82,10 @@ def _masked_ball(
 
     Raises SceneError where the masks have no common hull.
     """
-    center, radii = ball_of_masks(views)
+    center, radii = ball_of_masks(views, options)
     radius = float(radii.max())
     for _ in range(8):
-        half = 1.05 * radius
+        half = options.margin * radius
         hull = carve(outlines, center, half, options.resolution)
         if not (hull.field > 0).any():
             raise SceneError(
@@ -100,7 +102,9 @@ def _masked_ball(
     return found, radius_found
 
 
-def ball_of_masks(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
+def ball_of_masks(
+    views: Sequence[View], options: NormalisationOptions = NormalisationOptions()
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the centre [3] of a ball about as large as the object, and its radius by each view [V].
 
     Both come from the bounding boxes of the masks, which must not be empty.
@@ -108,9 +112,9 @@ def ball_of_masks(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
     origins = np.array([view.camera.center for view in views])
     boxes = [_box(view) for view in views]
     directions, spreads = (np.array(part) for part in zip(*boxes, strict=True))
-    point = focus(origins, directions)
+    point = focus(origins, directions, options)
     if point is None:
-        point = _common_point(origins, directions)
+        point = _common_point(origins, directions, options)
     return point, np.linalg.norm(origins - point, axis=1) * spreads
 
 
@@ -136,14 +140,14 @@ def unmasked_ball(
     origins = np.array([camera.center for camera in cameras])
     directions = np.array([_view_direction(camera) for camera in cameras])
     positions = None if points is None else points.positions[np.isfinite(points.positions).all(axis=1)]
-    center = focus(origins, directions)
+    center = focus(origins, directions, options)
     if center is None:
-        return _one_sided_ball(cameras, origins, directions, positions, options.min_points)
+        return _one_sided_ball(cameras, origins, directions, positions, options)
     # The median: a few close cameras must not shrink the ball to their own field of view.
-    radius = float(np.median([_radius_in_view(camera, center) for camera in cameras]))
+    radius = float(np.median([_radius_in_view(camera, center, options) for camera in cameras]))
     if positions is None:
         return center, radius
-    return _ball_of_points(positions, center, radius, options.min_points)
+    return _ball_of_points(positions, center, radius, options)
 
 
 def _view_direction(camera: Camera) -> np.ndarray:
@@ -158,17 +162,17 @@ def _view_direction(camera: Camera) -> np.ndarray:
 
 
 def _ball_of_points(
-    positions: np.ndarray, focus_point: np.ndarray, radius: float, min_points: int
+    positions: np.ndarray, focus_point: np.ndarray, radius: float, options: NormalisationOptions
 ) -> tuple[np.ndarray, float]:
     """Return the centre [3] and radius of the ball, moved to the densest points in it and shrunk to them.
 
     Photographers aim beside the object, but its texture yields most of the points [P,3]. The centre stays within the
-    ball's radius of focus_point [3]. min_points: points in the ball, with fewer of which it stays.
+    ball's radius of focus_point [3].
     """
     center = focus_point
     for _ in range(10):
         within = positions[np.linalg.norm(positions - center, axis=1) < radius]
-        if len(within) < min_points:
+        if len(within) < options.min_points:
             break
         moved = np.median(within, axis=0)
         if np.linalg.norm(moved - focus_point) > radius:
@@ -176,9 +180,10 @@ def _ball_of_points(
         center = moved
     distance = np.linalg.norm(positions - center, axis=1)
     distance = distance[distance < radius]
-    if len(distance) < min_points:
+    if len(distance) < options.min_points:
         return center, radius
-    return center, float(np.clip(1.05 * np.quantile(distance, 0.99), 0.25 * radius, radius))
+    enclosing = options.margin * np.quantile(distance, options.enclosed)
+    return center, float(np.clip(enclosing, options.least_radius * radius, radius))
 
 
 def _one_sided_ball(
@@ -186,34 +191,34 @@ def _one_sided_ball(
     origins: np.ndarray,
     directions: np.ndarray,
     positions: np.ndarray | None,
-    min_points: int,
+    options: NormalisationOptions,
 ) -> tuple[np.ndarray, float]:
     """Return the centre [3] and radius of the ball for cameras that look in one direction.
 
     origins, directions [C,3]: the cameras' viewing rays; positions [P,3] or None: points of the surface,
-    which count if there are min_points of them.
+    which count if there are `options.min_points` of them.
     """
-    if positions is not None and len(positions) >= min_points:
+    if positions is not None and len(positions) >= options.min_points:
         center = np.median(positions, axis=0)
-        return center, float(np.quantile(np.linalg.norm(positions - center, axis=1), 0.9))
-    center = _common_point(origins, directions)
-    return center, float(np.median([_radius_in_view(camera, center) for camera in cameras]))
+        return center, float(np.quantile(np.linalg.norm(positions - center, axis=1), options.enclosed_one_sided))
+    center = _common_point(origins, directions, options)
+    return center, float(np.median([_radius_in_view(camera, center, options) for camera in cameras]))
 
 
-def _common_point(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def _common_point(origins: np.ndarray, directions: np.ndarray, options: NormalisationOptions) -> np.ndarray:
     """Return a point [3] ahead of cameras that look in one direction.
 
-    Its distance is four times their largest distance from their mean.
+    Its distance is a multiple of their largest distance from their mean.
     """
     spread = np.linalg.norm(origins - origins.mean(axis=0), axis=1).max()
-    point: np.ndarray = origins.mean(axis=0) + directions.mean(axis=0) * 4 * spread
+    point: np.ndarray = origins.mean(axis=0) + directions.mean(axis=0) * options.ahead_one_sided * spread
     return point
 
 
-def _radius_in_view(camera: Camera, center: np.ndarray) -> float:
+def _radius_in_view(camera: Camera, center: np.ndarray, options: NormalisationOptions) -> float:
     """Return the radius of the largest ball around `center` [3] that lies wholly in the camera's image.
 
-    It is at least a tenth of the distance to `center`.
+    It is at least a share of the distance to `center`.
     """
     local = camera.cam_from_world[:3, :3] @ center + camera.cam_from_world[:3, 3]
     K = camera.K
@@ -226,7 +231,7 @@ def _radius_in_view(camera: Camera, center: np.ndarray) -> float:
         ]
     )
     to_edges = edges @ local / np.linalg.norm(edges, axis=1)
-    return float(max(to_edges.min(), 0.1 * np.linalg.norm(local)))
+    return float(max(to_edges.min(), options.least_in_view * np.linalg.norm(local)))
 
 
 def _swapped(ball: tuple[np.ndarray, float]) -> tuple[float, np.ndarray]:

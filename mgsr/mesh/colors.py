@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from mgsr.config.expert import ColorOptions
 from mgsr.geometry.mesh import Mesh
+from mgsr.mesh.pixels import depth_limits
 from mgsr.mesh.views import SurfaceView, nearest, project, sample
 from mgsr.parallel import map_ahead
 
@@ -48,7 +49,9 @@ def seen_colors(
     `tolerance` pixel footprints of its depth. Returns colours [P,3] float32 sRGB 0..1, and which points any view shows,
     [P] bool. A colour is a weighted mean: head-on views count more, and colours far from the mean count less.
     """
-    samples = list(map_ahead(lambda view: _view_colors(points, normals, view, min_alpha, tolerance), views, threads))
+    samples = list(
+        map_ahead(lambda view: _view_colors(points, normals, view, min_alpha, tolerance, options), views, threads)
+    )
     mean, total = _blend(samples, len(points), None, options)
     for _ in range(options.rounds):
         mean, _ = _blend(samples, len(points), mean, options)
@@ -65,14 +68,19 @@ class _ViewColors:
 
 
 def _view_colors(
-    vertices: np.ndarray, normals: np.ndarray, view: SurfaceView, min_alpha: float, tolerance: float
+    vertices: np.ndarray,
+    normals: np.ndarray,
+    view: SurfaceView,
+    min_alpha: float,
+    tolerance: float,
+    options: ColorOptions,
 ) -> _ViewColors:
     """Return the colours of the vertices [V,3] with unit normals [V,3] that a view shows."""
     index, pixels, depths = project(view.camera, vertices)
     to_camera = view.camera.center.astype(np.float32) - vertices[index].astype(np.float32)
     cosines = (to_camera * normals[index]).sum(1) / np.linalg.norm(to_camera, axis=1)
-    limit = tolerance * depths / np.float32(view.camera.K[0, 0]) / np.maximum(cosines, 0.3)
-    shown = (cosines > 0.05) & (np.abs(nearest(view.depth, pixels) - depths) <= limit)
+    limit = depth_limits(tolerance, depths, cosines, view.camera)
+    shown = (cosines > options.grazing) & (np.abs(nearest(view.depth, pixels) - depths) <= limit)
     shown &= nearest(view.usable(min_alpha), pixels)
     return _ViewColors(index[shown], sample(view.color, pixels[shown]), cosines[shown] ** 2)
 

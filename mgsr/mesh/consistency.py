@@ -15,7 +15,7 @@ from scipy.ndimage import minimum_filter
 from mgsr.config.expert import MeshOptions
 from mgsr.data.hull import keep_lowest
 from mgsr.data.silhouettes import Silhouette
-from mgsr.mesh.pixels import PixelRules, surface_pixels
+from mgsr.mesh.pixels import PixelRules, depth_limits, surface_pixels
 from mgsr.mesh.points import OrientedPoints
 from mgsr.mesh.views import SurfaceView, nearest, project, sample
 from mgsr.parallel import map_ahead
@@ -96,7 +96,7 @@ def _verdict(points: OrientedPoints, view: SurfaceView, rules: PixelRules, toler
     rays = (points.positions[index] - camera.center.astype(np.float32)) / depths[:, None]
     slants = (rays * points.normals[index]).sum(1)  # component of a ray with camera z 1 along the point's normal
     cosines = -slants / np.sqrt((rays * rays).sum(1))
-    limit = tolerance * depths / np.float32(camera.K[0, 0]) / np.maximum(np.abs(cosines), 0.3)
+    limit = depth_limits(tolerance, depths, np.abs(cosines), camera)
     depth = np.where(view.usable(rules.min_alpha), view.depth, np.inf)
     if view.mask is not None:
         depth = np.where(view.mask, depth, 0)  # nearer than any point, so the view is silent there

@@ -112,7 +112,7 @@ def _rules(config: MeshConfig) -> PixelRules:
 def _by_poisson(context: StepContext) -> Mesh:
     views, config, hull, threads = context.views, context.config, context.hull, context.photos.threads
     options = context.options
-    cell = cell_size(_extent(views, config), config.poisson_depth, options.poisson_margin)
+    cell = cell_size(_extent(views, config, options.outliers), config.poisson_depth, options.poisson_margin)
     points = gather_points(views, max(config.cell * cell, context.footprint), _rules(config), threads)
     if config.consistency is not None:
         reach = options.confirm_reach
@@ -126,15 +126,18 @@ def _by_poisson(context: StepContext) -> Mesh:
     return mesh if config.close_holes else trim_unsupported(mesh, points, config.trim * cell)
 
 
-def _extent(views: Sequence[SurfaceView], config: MeshConfig) -> float:
-    """Return the longest side of the surface's bounding box, in the scene's unit, without 0.1% outliers at each end."""
+def _extent(views: Sequence[SurfaceView], config: MeshConfig, outliers: float) -> float:
+    """Return the longest side of the surface's bounding box, in the scene's unit, without outliers.
+
+    outliers: the percentage of the points that are outliers at each end of an axis.
+    """
     points_of_views = [back_project(view)[::4, ::4][view.usable(config.min_alpha)[::4, ::4]] for view in views]
     points = np.concatenate(points_of_views)
     if config.radius is not None:
         points = points[np.linalg.norm(points, axis=1) <= config.radius]
     if len(points) == 0:
         raise MeshError(_all_dropped(config))
-    low, high = np.percentile(points, [0.1, 99.9], axis=0)
+    low, high = np.percentile(points, [outliers, 100 - outliers], axis=0)
     return float((high - low).max())
 
 

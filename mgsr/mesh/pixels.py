@@ -7,8 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsr.data.camera import Camera
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.mesh.views import SurfaceView
+
+STEEPEST = 0.3  # cosine between normal and view direction below which the depth tolerance grows no further
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,16 @@ def footprint(view: SurfaceView) -> np.ndarray:
     """Return the footprint [H,W] of each pixel: its size on the surface that it shows, in the scene's unit."""
     sizes: np.ndarray = view.depth / np.sqrt(view.camera.K[0, 0] * view.camera.K[1, 1]).astype(np.float32)
     return sizes
+
+
+def depth_limits(tolerance: float, depths: np.ndarray, cosines: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return by how much a view's depths may differ from those of points of the same surface, [P].
+
+    tolerance: in pixel footprints; it grows where the view looks along the surface. depths [P]: camera z of the points.
+    cosines [P]: between their normals and the view directions.
+    """
+    limits: np.ndarray = tolerance * depths / np.float32(camera.K[0, 0]) / np.maximum(cosines, STEEPEST)
+    return limits
 
 
 def median_footprint(views: Sequence[SurfaceView], min_alpha: float) -> float | None:

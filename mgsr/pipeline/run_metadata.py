@@ -10,9 +10,12 @@ import sys
 from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import mgsr
 from mgsr.config import Config
+from mgsr.data.find_cameras import facts_without_cameras
+from mgsr.data.readers import find_capture, load_capture
 from mgsr.data.scene import Scene
 from mgsr.export.far_origin import origin_notes, origin_of_frame
 from mgsr.geometry.triangles import topology
@@ -92,6 +95,17 @@ def run_report(
         time_budget=time_budget,
         **scores.optional,
     )
+
+
+def capture_facts(path: Path, config: Config) -> dict[str, Any]:
+    """Return the facts of the capture at `path`, by their names for users.
+
+    Cameras that a run would search for are not searched for. Raises SceneError for what a run would refuse.
+    """
+    found = find_capture(path, config.data)
+    if found.kind is None:
+        return facts_without_cameras(found)
+    return scene_facts(load_capture(found, config.data, options=config.expert.data)).to_json()
 
 
 def scene_facts(scene: Scene, unit: float = 1.0) -> InputFacts:

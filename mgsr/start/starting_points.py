@@ -75,9 +75,9 @@ def hull_points(
     resolution: voxels along a side of the grid. Raises SceneError if the hull is empty.
     """
     outlines = silhouettes(scene.train, options.mask_side)
-    mesh = Mesh(*hull_surface(carve(outlines, np.zeros(3), 1.05, resolution)))
+    mesh = Mesh(*hull_surface(carve(outlines, np.zeros(3), options.carved, resolution)))
     positions, normals = _sample(mesh, count, np.random.default_rng(seed))
-    return _seen_on_hull(scene.train, positions, normals, resolution, options.colors)
+    return _seen_on_hull(scene.train, positions, normals, resolution, options)
 
 
 def _own_points(points: PointCloud, max_distance: float) -> PointCloud:
@@ -130,14 +130,14 @@ def _surface_points(
     side = max(max(outline.distance.shape) for outline in outlines)
     resolution, options = expert.start.resolution, expert.start
     resolution = resolution if side >= resolution else resolution // 2  # small images have no finer detail
-    hull = carve(outlines, np.zeros(3), 1.05, resolution)
+    hull = carve(outlines, np.zeros(3), options.carved, resolution)
     if scene.ground is not None:
         hull = cut_at(hull, scene.ground)
     found = find_surface(scene.train, outlines, hull, seed, progress, expert)
     positions, normals = _sample(found.mesh, count, generator)
     shiny = found.light is not LightKind.UNKNOWN
     return replace(
-        _seen_on_hull(scene.train, positions, normals, resolution, options.colors),
+        _seen_on_hull(scene.train, positions, normals, resolution, options),
         shiny=shiny,
         lighting=found.lighting,
         surface=found.mesh,
@@ -145,11 +145,11 @@ def _surface_points(
 
 
 def _seen_on_hull(
-    views: Sequence[View], positions: np.ndarray, normals: np.ndarray, resolution: int, options: ViewColorOptions
+    views: Sequence[View], positions: np.ndarray, normals: np.ndarray, resolution: int, options: StartConfig
 ) -> StartingPoints:
     """Return starting points at positions [P,3] with normals [P,3] on the hull, with the colours that views show."""
-    # The hull is only accurate to a voxel, so points within a few voxels do not occlude each other.
-    colors = seen_colors(views, positions, normals, 4 * 1.05 / resolution, options)
+    tolerance = options.occluding * options.carved / resolution
+    colors = seen_colors(views, positions, normals, tolerance, options.colors)
     return StartingPoints(positions, colors, StartSource.HULL, normals)
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from mgsr.cli import demo
-from mgsr.cli.demo import EXAMPLE, find_example
 from mgsr.cli.main import app
+from mgsr.pipeline import example
+from mgsr.pipeline.example import EXAMPLE, find_example
 
 
 def test_the_sources_have_the_example() -> None:
@@ -17,8 +17,8 @@ def test_the_sources_have_the_example() -> None:
 
 
 def _installed(monkeypatch: pytest.MonkeyPatch, package: Path) -> None:
-    """Make the command believe that it was installed in a folder."""
-    monkeypatch.setattr(demo, "__file__", str(package / "cli" / "demo.py"))
+    """Make the package believe that it is installed in a folder."""
+    monkeypatch.setattr(example, "__file__", str(package / "pipeline" / "example.py"))
 
 
 def test_an_installed_package_brings_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -54,7 +54,7 @@ def test_the_installed_package_finds_its_example_and_reads_it(wheel: Path, tmp_p
     install = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", str(installed), str(wheel)]
     subprocess.run(install, check=True)
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    code = "from mgsr.cli.demo import find_example; print(find_example())"
+    code = "from mgsr.pipeline.example import find_example; print(find_example())"
     run = [sys.executable, "-c", code]
     where = subprocess.run(
         run, cwd=tmp_path, env=environment | {"PYTHONPATH": str(installed)}, check=True, capture_output=True, text=True

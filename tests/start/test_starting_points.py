@@ -11,7 +11,6 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from mgsr.cli.demo import find_example
 from mgsr.config import DataConfig, Masks
 from mgsr.config.expert import EnvironmentOptions
 from mgsr.data.hull import Hull, carve, hull_surface, signed_field
@@ -20,6 +19,7 @@ from mgsr.data.scene import PointCloud, Scene, Similarity
 from mgsr.data.silhouettes import silhouettes
 from mgsr.geometry.mesh import Mesh
 from mgsr.open3d_library import load_open3d
+from mgsr.pipeline.example import find_example
 from mgsr.shading.environment_residual import EnvironmentResidual, environment_residuals
 from mgsr.shading.light_estimate import LightEstimate
 from mgsr.shading.photo_set import PhotoSet

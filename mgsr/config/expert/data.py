@@ -47,6 +47,14 @@ class MaskUseOptions(Options):
     strip_border: Share = 0.6  # share of white border pixels from which that is looked for
     white_border: Share = 0.85  # share of white border pixels from which silhouettes are doubtful
     max_ball: Factor = 2.4  # radii of the ball that the images show whole; the object's ball may be this large
+    inverted_views: Share = 0.9  # share of the masks that must look inverted before all are inverted
+    inverted_border: Share = 0.95  # least share of white border pixels of an inverted mask
+    inverted_black: Share = 0.01  # least share of black pixels of an inverted mask; fewer are holes in a mask of
+    # something that fills the image
+    inverted_middle: Annotated[float, Range(0, 0.5)] = (
+        0.2  # least distance of the black part's centre from the borders,
+    )
+    # over the image's sides
 
 
 @dataclass(frozen=True)
@@ -67,7 +75,17 @@ class NormalisationOptions(Options):
 
     resolution: Annotated[int, Range(8)] = 64  # voxels along a side of the grid that the visual hull is carved from
     contour_side: Annotated[int, Range(16)] = 200  # pixels; longer side of the silhouettes
-    min_points: Count = 50  # points of the capture, with fewer of which they do not place the ball
+    margin: Factor = 1.05  # half the side of the carved cube, and the radius of a ball of points, over the object's
+    min_points: Count = 50  # points of the capture; with fewer, they do not place the ball
+    parallel: Share = 0.02  # mean squared sine between viewing rays and their main direction; below it, the cameras
+    # look in one direction and have no common focus
+    ahead: Share = 0.8  # least share of the cameras that have their common focus in front of them
+    enclosed: Share = 0.99  # share of the points near the focus that the ball holds
+    enclosed_one_sided: Share = 0.9  # share of all points that the ball holds if the cameras look in one direction
+    least_radius: Share = 0.25  # least radius of the ball around points, over that of the ball in view
+    least_in_view: Share = 0.1  # least radius of the ball in view of a camera, over its distance
+    ahead_one_sided: Positive = 4.0  # distance of the scene ahead of cameras that look in one direction, over their
+    # largest distance from their mean, where no points tell it
 
 
 @dataclass(frozen=True)

@@ -73,6 +73,7 @@ class ColorOptions(Options):
     deviation: Positive = 0.1  # sRGB 0..1; a colour this far from the mean counts half
     rounds: WholeNumber = 2  # of reweighting
     tolerance: Positive = 3.0  # footprints; the depth tolerance if the views' consistency is not checked
+    grazing: Share = 0.05  # cosine between normal and view direction at which a view stops showing a point
     occlusion_edge: Positive = 10.0  # footprints by which the depths around a pixel of a texture may differ; more is an
     # occlusion edge
 
@@ -110,6 +111,8 @@ class MeshOptions(Options):
     mask_side: Annotated[int, Range(16)] = 800  # pixels; longer side of the reduced masks, whose contours are known to
     # a fraction of a pixel
     poisson_margin: Annotated[float, Range(1)] = 1.1  # side of the octree's cube, relative to the points' bounding box
+    outliers: Annotated[float, Range(0, 50)] = 0.1  # percent of the rendered points at each end of an axis that do not
+    # count for the surface's bounding box
     confirm_reach: Positive = 2.0  # times the tolerance; the distance from a view's surface up to which the view
     # confirms a point, wide enough for the noise of depths
     choice: SurfaceChoiceOptions = field(default_factory=SurfaceChoiceOptions)

@@ -136,6 +136,13 @@ class StartConfig(Options):
     """The points on which training begins."""
 
     resolution: Annotated[int, Range(8)] = 128  # voxels along a side of the visual hull's grid
+    carved: Annotated[float, Range(1)] = (
+        1.05  # ball radii; half the side of the cube that the visual hull is carved from
+    )
+    occluding: Positive = (
+        4.0  # voxels behind others beyond which a point of the hull is hidden; the hull is accurate to
+    )
+    # a voxel
     mask_side: Annotated[int, Range(16)] = 400  # pixels; longer side of the reduced masks: two pixels or more a voxel
     min_points: Count = 500  # of stereo, under which the start is a random ball
     ball: Positive = 1.25  # ball radii; outside of this ball no mesh is extracted

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from scipy import ndimage
-from scipy.ndimage import gaussian_filter
 
 from mgsr.config.expert import MatteOptions
 from mgsr.data.camera import Camera
@@ -139,12 +138,14 @@ def _extended(color: np.ndarray, weight: np.ndarray, options: MatteOptions) -> t
 
     weight [h,w]: 0 or 1. Returns the colours [h,w,3], and where they are known, [h,w] bool.
     """
+    import cv2  # late: training needs no OpenCV
+
     found, reached = color * weight[..., None], weight > 0
+    weighted = np.ascontiguousarray(np.dstack([found, weight]), np.float32)
     for number in range(options.scales):
-        scale = 2**number
-        near = gaussian_filter(weight, scale)
-        blurred = gaussian_filter(color * weight[..., None], (scale, scale, 0))
+        blurred = cv2.GaussianBlur(weighted, (0, 0), 2**number, borderType=cv2.BORDER_REFLECT)
+        near = blurred[..., 3]
         fresh = (near > options.min_weight) & ~reached
-        found[fresh] = blurred[fresh] / near[fresh][:, None]
+        found[fresh] = blurred[fresh, :3] / near[fresh][:, None]
         reached = reached | fresh
     return found, reached

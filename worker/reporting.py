@@ -31,7 +31,7 @@ BEFORE = {
     "unpack": 0.0,
     "load": 0.01,
     "check": 0.015,
-    "outlines": 0.02,
+    "learned_masks": 0.02,
     "start": 0.03,
     "exposures": 0.04,
     "object": 0.043,

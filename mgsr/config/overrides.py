@@ -45,6 +45,7 @@ RENAMED: dict[str, str] = {
     "warmup.validation_patience": "paper.validation_patience",
     "warmup.validation_gain": "paper.validation_gain",
     "warmup.paper_range": "paper.loss_range",
+    "outlines": "learned_masks",
     "paper_range": "loss_range",
     "train.tv": "train.paper.tv",
     "train.alpha_loss": "train.paper.alpha_loss",

@@ -45,7 +45,7 @@ from mgsr.start.scene_depths import DepthMaps, scene_depths
 from mgsr.start.starting_points import starting_points
 from mgsr.training.background import train_background
 from mgsr.training.exposure import find_exposures
-from mgsr.training.outlines import learned_outlines
+from mgsr.training.learned_masks import learn_masks
 
 LATER = ("exposure", "object", "object_box", "check")  # settings of DataConfig that take effect after the reading
 
@@ -282,9 +282,9 @@ def _learn_masks(scene: Scene, config: Config, step: Steps) -> list[np.ndarray] 
     if not scene.backdrop(config.train.background).plain:
         return None
     text = "learning the object's silhouettes"
-    with step("outlines", text):
-        progress = step.share("outlines", text)
-        masks = learned_outlines(scene, config.seed, step.should_stop, progress, config.expert)
+    with step("learned_masks", text):
+        progress = step.share("learned_masks", text)
+        masks = learn_masks(scene, config.seed, step.should_stop, progress, config.expert)
     if masks is None:
-        step.progress(Event("outlines", "the learned silhouettes show no object, so the start does without them"))
+        step.progress(Event("learned_masks", "the learned silhouettes show no object, so the start does without them"))
     return masks

@@ -101,7 +101,7 @@ def planned_config(
     facts = replace(facts_of(scene, config, start), searched="object" in clock.steps)
     budget.learn(
         start_cost(facts, budget.stereo_pixels),
-        sum(clock.steps.get(name, 0.0) for name in ("start", "outlines", "object", "background")),
+        sum(clock.steps.get(name, 0.0) for name in ("start", "learned_masks", "object", "background")),
     )
     if budget.place is None:
         probed = probe(scene, start, config, device.torch)

@@ -26,7 +26,7 @@ STEPS = (
     "total",
     "load",
     "check",
-    "outlines",
+    "learned_masks",
     "start",
     "exposures",
     "object",

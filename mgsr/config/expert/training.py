@@ -42,7 +42,7 @@ class ProxyModelOptions(Options):
 
 
 @dataclass(frozen=True)
-class OutlineOptions(Options):
+class LearnedMaskOptions(Options):
     """Masks of photographs before a plain backdrop, learned by two proxy models."""
 
     degree: Degree = 2  # of the colours' harmonics
@@ -86,5 +86,5 @@ class TrainingOptions(Options):
     """What is trained before the training."""
 
     background: BackgroundOptions = field(default_factory=BackgroundOptions)
-    outlines: OutlineOptions = field(default_factory=OutlineOptions)
+    learned_masks: LearnedMaskOptions = field(default_factory=LearnedMaskOptions)
     exposure: ExposureOptions = field(default_factory=ExposureOptions)

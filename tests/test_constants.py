@@ -283,7 +283,7 @@ REMAINING = {
     "start/masked_surface.FUSED": PROGRESS,
     "start/masked_surface.HALVES_MATCHED": PROGRESS,
     "start/masked_surface.MATCHED": PROGRESS,
-    "start/masked_surface.NEAR_BEGUN": PROGRESS,
+    "start/masked_surface.NEAR_STARTED": PROGRESS,
     "start/masked_surface.NEAR_SHADED": PROGRESS,
     "start/view_colors._UNSEEN": FORMAT,
     "training/branch.ORDER_EVERY": BATCH,

@@ -108,11 +108,11 @@ def signed_field(
     point, [P] bool; where they don't, it counts as outside.
     """
     lowest = np.full((dissent + 1, len(points)), np.inf, dtype=np.float32)  # sorted, the least first
-    told = np.zeros(len(points), dtype=np.int32)
-    for tells, distance in map_ahead(lambda silhouette: view_field(silhouette, points), silhouettes, None):
-        told += tells
-        keep_lowest(lowest, np.where(tells, distance, np.inf).astype(np.float32))
-    return lowest[dissent], told >= max(2 + dissent, MIN_SEEN * len(silhouettes))
+    count = np.zeros(len(points), dtype=np.int32)
+    for constrained, distance in map_ahead(lambda silhouette: view_field(silhouette, points), silhouettes, None):
+        count += constrained
+        keep_lowest(lowest, np.where(constrained, distance, np.inf).astype(np.float32))
+    return lowest[dissent], count >= max(2 + dissent, MIN_SEEN * len(silhouettes))
 
 
 def keep_lowest(lowest: np.ndarray, values: np.ndarray) -> None:
@@ -131,18 +131,18 @@ def view_field(silhouette: Silhouette, points: np.ndarray) -> tuple[np.ndarray, 
     camera = silhouette.camera
     pixels, depth = camera.project(points)
     x, y = pixels.T
-    tells = (depth > 0) & (x > 0) & (x < camera.width) & (y > 0) & (y < camera.height)
+    constrained = (depth > 0) & (x > 0) & (x < camera.width) & (y > 0) & (y < camera.height)
     place = [y - 0.5, x - 0.5]
     distance = ndimage.map_coordinates(silhouette.distance, place, order=1, mode="nearest", output=np.float32)
     distance *= depth / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
     if silhouette.whole:
-        outside = ~tells
+        outside = ~constrained
         distance[outside] = np.minimum(distance[outside], 0)  # behind the camera it has the wrong sign
         distance[outside] -= _beyond(camera, points[outside], pixels[outside], depth[outside])
-        return np.ones_like(tells), distance
+        return np.ones_like(constrained), distance
     if silhouette.valid_mask is not None:
-        tells[tells] = valid_at(silhouette.valid_mask, pixels[tells])
-    return tells, distance
+        constrained[constrained] = valid_at(silhouette.valid_mask, pixels[constrained])
+    return constrained, distance
 
 
 def _beyond(camera: Camera, points: np.ndarray, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:

@@ -72,7 +72,7 @@ def _grid(views: Sequence[View], side: int) -> tuple[np.ndarray, float]:
 def _left_out(points: np.ndarray, silhouettes: Sequence[Silhouette], far: float = 0.0) -> np.ndarray:
     """Return which points [P,3] each view has farther than `far` outside its mask, [V,P] bool."""
     fields = map_ahead(lambda silhouette: view_field(silhouette, points), silhouettes, None)
-    return np.array([tells & (distance < -far) for tells, distance in fields])
+    return np.array([constrained & (distance < -far) for constrained, distance in fields])
 
 
 def _cells(view: View, points: np.ndarray, spacing: float) -> np.ndarray:

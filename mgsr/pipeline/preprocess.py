@@ -253,8 +253,8 @@ def _object_alone(
         step.progress(Event("object", note, scene=scene))
         text = "training what lies around the object"
         with step("background", text):
-            told = step.share("background", text)
-            background = train_background(whole, found.train, start, config, step.should_stop, told)
+            report = step.share("background", text)
+            background = train_background(whole, found.train, start, config, step.should_stop, report)
             result_files.write_background(out, background, whole, config.output)
         for each in scene.notes[len(whole.notes) + 1 :]:
             step.progress(Event("object", each))

@@ -23,13 +23,13 @@ from mgsr.training.views import bounding_region
 class Matte:
     """The object in a photograph.
 
-    share [H,W] float32: the object's share of each pixel, 0..1. sure [H,W] bool: where the photograph certainly does
-    not show the background. told [H,W] bool: where the background is known; `sure` is False elsewhere.
+    share [H,W] float32: the object's share of each pixel, 0..1. certain [H,W] bool: where the photograph certainly does
+    not show the background. background_known [H,W] bool: where the background is known; `certain` is False elsewhere.
     """
 
     share: np.ndarray
-    sure: np.ndarray
-    told: np.ndarray
+    certain: np.ndarray
+    background_known: np.ndarray
 
 
 def first_region(mask: np.ndarray, options: MatteOptions = MatteOptions()) -> np.ndarray:
@@ -96,7 +96,7 @@ def matte(
         for_background += options.beside_cost * (silhouette[window] < -options.beside)
     share = random_walker(part, for_object, for_background, inside, options.walker)
     found.share[window] = without_small_holes(share, options.max_hole)
-    found.sure[window], found.told[window] = known & (as_background > options.certain_cost), known
+    found.certain[window], found.background_known[window] = known & (as_background > options.certain_cost), known
     return found
 
 

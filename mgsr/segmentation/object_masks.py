@@ -176,7 +176,7 @@ class _Search:
         self.silhouettes = [silhouette(caster, camera) for camera in self._cameras]
         inside = self._hull.values(self._model.means.numpy().astype(np.float64)) > -own.around * self._pixel
         self._models = self._color_models(found)
-        self.labels = inside & (first.heights > own.raised * self._pixel) & self._sure(found)
+        self.labels = inside & (first.heights > own.raised * self._pixel) & self._certainly_object(found)
 
     def last_masks(self, train: Sequence[View], test: Sequence[View]) -> list[np.ndarray]:
         """Return the final masks [H,W] uint8, 0..255, of the training and then the test views.
@@ -250,7 +250,7 @@ class _Search:
         own, deep = self._options.colors, self._options.search.filled
         reach = own.reach * float(np.linalg.norm(box[1] - box[0]))
         objects = [
-            each.sure & mask & (inside > deep)
+            each.certain & mask & (inside > deep)
             for each, mask, inside in zip(found, self.masks, silhouettes, strict=True)
         ]
         supports = [
@@ -259,15 +259,15 @@ class _Search:
         ]
         return color_models(self._images, objects, supports, own)
 
-    def _sure(self, found: Sequence[Matte]) -> np.ndarray:
+    def _certainly_object(self, found: Sequence[Matte]) -> np.ndarray:
         """Return the surfels [N] bool whose pixels mostly hide the background for certain.
 
         found: the mattes of the small photographs.
         """
         own = self._options.search
-        masks = [np.stack([each.sure, each.told], axis=-1) for each in found]
-        sure, told = lifted_labels(self._model, masks, self._cameras)[0].T
-        return np.asarray((sure > own.sure * told) & (told > own.known))
+        masks = [np.stack([each.certain, each.background_known], axis=-1) for each in found]
+        certain, known = lifted_labels(self._model, masks, self._cameras)[0].T
+        return np.asarray((certain > own.certain * known) & (known > own.known))
 
 
 def _columns(surfels: SurfelModel, plane: SupportPlane | None, copies: int) -> SurfelModel:

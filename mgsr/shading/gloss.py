@@ -155,15 +155,15 @@ class _Fit:
         """
         lobes, share = self._lobes_of(roughness), self._share(roughness)
         weights = self._seen.weights * self._seen.training
-        hold = self._options.smoothness * weights.sum() / len(start)
+        prior_weight = self._options.smoothness * weights.sum() / len(start)
         scale = float((weights * values * values).sum()) / len(start)
 
         def cost(light: np.ndarray) -> tuple[float, np.ndarray]:
             residual = self._centred(values - share * self.spread(light, roughness), weights)
             pull, weighted = self._smooth @ light, share * weights * residual
             slope = -sum(lobe.gather(turned @ weighted) for lobe, turned in zip(lobes, self._turned, strict=True))
-            value = 0.5 * float((weights * residual * residual).sum() + hold * (light @ pull))
-            return value / scale, (slope + hold * pull) / scale
+            value = 0.5 * float((weights * residual * residual).sum() + prior_weight * (light @ pull))
+            return value / scale, (slope + prior_weight * pull) / scale
 
         options = {"maxiter": steps, "ftol": self._options.tolerance}
         bounds = Bounds(0, np.inf)

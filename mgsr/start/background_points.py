@@ -31,18 +31,20 @@ def background_points(
     inverse, levels = np.linspace(1 / options.farthest, 1 / options.nearest, options.levels), np.arange(options.levels)
     tried = [_agreement(reduced, directions / each) for each in inverse]
     disagreement, colors, count = (np.stack(each, axis=1) for each in zip(*tried, strict=True))
-    told = count >= options.seen
-    kept = told.mean(axis=1) > 0.5
+    shown_enough = count >= options.seen
+    kept = shown_enough.mean(axis=1) > 0.5
     if kept.sum() <= options.neighbours:
         return PointCloud(np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
-    directions, disagreement, colors, told = (each[kept] for each in (directions, disagreement, colors, told))
+    directions, disagreement, colors, shown_enough = (
+        each[kept] for each in (directions, disagreement, colors, shown_enough)
+    )
     # A neutral cost where too few photographs show a place, so that the neighbours decide.
-    disagreement = np.where(told, np.minimum(disagreement, options.most), np.median(disagreement[told]))
+    disagreement = np.where(shown_enough, np.minimum(disagreement, options.most), np.median(disagreement[shown_enough]))
     neighbours = cKDTree(directions).query(directions, k=options.neighbours + 1)[1][:, 1:]
     level, smooth = _smooth_levels(disagreement, neighbours, options)
     distance = 1 / np.interp(smooth, levels, inverse)
     # The colour comes from the nearest level that enough photographs show.
-    shown = np.where(told, np.abs(levels - level[:, None]), len(levels)).argmin(axis=1)
+    shown = np.where(shown_enough, np.abs(levels - level[:, None]), len(levels)).argmin(axis=1)
     color = (255 * colors[np.arange(len(shown)), shown]).round().clip(0, 255).astype(np.uint8)
     return PointCloud(directions * distance[:, None], color)
 

@@ -33,7 +33,7 @@ from mgsr.stereo.patch_match import DepthMap, match_views, weigh, weigh_gaps
 from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
 
 # Progress at the end of each part, measured as shares of the time on 48 views of 256 x 256 pixels.
-HALVES_MATCHED, MATCHED, FUSED, FAR_SHADED, NEAR_BEGUN, NEAR_SHADED = 0.1, 0.4, 0.6, 0.83, 0.87, 0.92
+HALVES_MATCHED, MATCHED, FUSED, FAR_SHADED, NEAR_STARTED, NEAR_SHADED = 0.1, 0.4, 0.6, 0.83, 0.87, 0.92
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def find_surface(
     passes, last = _far_passes(expert.start.surface), _near_passes(expert.start.surface)
     mesh = _likelier_surface(photos, hull, seed, progress, expert)
     progress(FUSED)
-    far, near = _between(progress, FUSED, FAR_SHADED), _between(progress, NEAR_BEGUN, NEAR_SHADED)
+    far, near = _between(progress, FUSED, FAR_SHADED), _between(progress, NEAR_STARTED, NEAR_SHADED)
     mesh, estimate = _refined(mesh, photos, LightEstimate(), passes, far, expert)
     if estimate.kind in last:
         mesh, estimate = _refined(mesh, photos, estimate, last, near, expert)

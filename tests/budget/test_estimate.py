@@ -102,11 +102,11 @@ def test_settings_of_the_caller_stay_at_each_preset(tmp_path: Path) -> None:
 def test_an_estimate_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, out = write_spheres(tmp_path / "spheres", size=32, train=8, test=1), tmp_path / "out"
     out.mkdir()
-    told: list[str] = []
-    path = estimate.write_estimate(folder, out, make_config(), "cpu", lambda event: told.append(event.text))
+    reported: list[str] = []
+    path = estimate.write_estimate(folder, out, make_config(), "cpu", lambda event: reported.append(event.text))
     from worker.publish import findings, headline
 
     assert path == out / "estimate.json"
     assert [each["preset"] for each in headline(out)["estimate"]] == list(PRESETS)
     assert {"code", "severity", "cure"} <= set((findings(out) or [{"code": 1, "severity": 1, "cure": 1}])[0])
-    assert any(text.startswith("standard") and "GiB" in text for text in told)
+    assert any(text.startswith("standard") and "GiB" in text for text in reported)

@@ -171,5 +171,5 @@ def test_a_reflector_mirrors_at_its_own_normals_and_once_more_where_it_meets_its
     share = np.array([0.2, 0.5, 0.8])
     assert np.abs(shown.detach().numpy() - share * glow(back))[twice].max() < 1e-2
     (gradient,) = torch.autograd.grad(shown.sum(), lit.logits)
-    told = (glow(back)[twice] * share * (1 - share)).sum(axis=0)
-    assert np.abs(gradient[-1].numpy() / told - 1).max() < 1e-2
+    reported = (glow(back)[twice] * share * (1 - share)).sum(axis=0)
+    assert np.abs(gradient[-1].numpy() / reported - 1).max() < 1e-2

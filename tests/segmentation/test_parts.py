@@ -250,8 +250,8 @@ def test_colours_tell_table_from_object_where_no_photograph_is_clear() -> None:
             for each in (None, models)
         ]
         wrong.append([(mask != truth[index])[region].mean() for mask in found])
-    without, told = np.mean(wrong, axis=0)
-    assert np.mean(right) > 0.97 and told < 0.9 * without, (right, without, told)
+    without, reported = np.mean(wrong, axis=0)
+    assert np.mean(right) > 0.97 and reported < 0.9 * without, (right, without, reported)
 
 
 def test_small_holes_of_a_matte_are_filled_and_large_ones_left() -> None:

@@ -71,12 +71,12 @@ def test_without_masks_or_points_a_ball(tmp_path: Path) -> None:
 def test_the_share_of_the_work_that_is_done(tmp_path: Path, masks: Masks) -> None:
     """Check that progress is told on the way of both the hull and stereo, and never falls."""
     scene = load_scene(BallCapture(views=12).write_plain(tmp_path), DataConfig(masks=masks))
-    told: list[float] = []
-    starting_points(scene, 500, seed=0, progress=told.append)
-    assert len(told) >= 2 and told == sorted(told) and 0 < told[0] < 1 and told[-1] <= 1
+    reported: list[float] = []
+    starting_points(scene, 500, seed=0, progress=reported.append)
+    assert len(reported) >= 2 and reported == sorted(reported) and 0 < reported[0] < 1 and reported[-1] <= 1
     if masks is Masks.OFF:
         # Each view is searched, and then what has no contrast in it is continued.
-        assert len(told) == 2 * len(scene.train) and told[-1] == pytest.approx(1)
+        assert len(reported) == 2 * len(scene.train) and reported[-1] == pytest.approx(1)
 
 
 def test_own_points_come_first_without_those_that_are_far_away_or_not_finite(tmp_path: Path) -> None:

@@ -39,11 +39,13 @@ def test_what_splats_come_to_cover_is_the_object(truth: Scene, color: tuple[int,
 
     The ball's paint has both light and dark patches, and a highlight that clips.
     """
-    told: list[float] = []
-    masks = learn_masks(before(color, noise=0, scene=truth), seed=0, progress=told.append, expert=short())
+    reported: list[float] = []
+    masks = learn_masks(before(color, noise=0, scene=truth), seed=0, progress=reported.append, expert=short())
     assert masks is not None and all(mask.shape == (64, 64) and mask.dtype == np.uint8 for mask in masks)
     assert overlaps(masks, truth).min() > 0.96 and overlaps(masks, truth).mean() > 0.975
-    assert told == sorted(told) and told[-1] == pytest.approx(1) and any(0 < done < 0.5 for done in told)
+    assert (
+        reported == sorted(reported) and reported[-1] == pytest.approx(1) and any(0 < done < 0.5 for done in reported)
+    )
 
 
 def test_paint_of_the_backdrops_colour_makes_no_hole(truth: Scene) -> None:

@@ -115,7 +115,7 @@ class ObjectSearchOptions(Options):
     copies: Count = 8  # copies of a surfel between its place and the plane, which fill the first masks
     linked: Positive = 2.5  # times the median distance to a third neighbour; surfels closer than this are connected
     blocked: WholeNumber = 2  # pixels around a mask that do not count as background
-    sure: Share = 0.5  # least share of an object surfel's pixels with known background that certainly hide it
+    certain: Share = 0.5  # least share of an object surfel's pixels with known background that certainly hide it
     known: Share = 0.03  # least share of an object surfel's pixels whose background is known
     min_surfels: Annotated[int, Range(4)] = 50  # that an object has at least
     rival: NotNegative = 0.4  # relative size of a second piece above which the object is ambiguous

@@ -17,8 +17,8 @@ class FirstSurfaceOptions(Options):
     """The first surface of a masked object, inside its visual hull.
 
     The large shape of a hull is wrong too, so shading may change larger shape than on a trained surface. Deep
-    concavities need many rounds. An environment map hardly constrains a hull's steps, which fairing removes between the
-    rounds. It constrains the small shape better once photometric refinement has corrected the large shape.
+    concavities need many rounds. An environment map hardly constrains a hull's steps, which bilateral filtering removes
+    between the rounds. It constrains the small shape better once photometric refinement has corrected the large shape.
     """
 
     mirror_share: NotNegative = 0.9  # the surface is a mirror if the hull's residual under an environment map is at
@@ -31,10 +31,10 @@ class FirstSurfaceOptions(Options):
     flash_coarse: ShadingPass = field(default_factory=lambda: ShadingPass(edge=2.0, rounds=6, reach=160.0))
     flash_fine: ShadingPass = field(default_factory=lambda: ShadingPass(edge=1.5, rounds=3, reach=60.0))
     environment_repeats: Count = 3  # times that the pass environment_coarse is run
-    environment_coarse: ShadingPass = field(default_factory=lambda: ShadingPass(3.0, 2, 240.0, fairing=17.0))
-    environment_medium: ShadingPass = field(default_factory=lambda: ShadingPass(2.0, 2, 240.0, fairing=17.0))
-    environment_fine: ShadingPass = field(default_factory=lambda: ShadingPass(1.5, 2, 120.0, fairing=17.0))
-    environment_last: ShadingPass = field(default_factory=lambda: ShadingPass(1.5, 2, 60.0, fairing=17.0))
+    environment_coarse: ShadingPass = field(default_factory=lambda: ShadingPass(3.0, 2, 240.0, bilateral_angle=17.0))
+    environment_medium: ShadingPass = field(default_factory=lambda: ShadingPass(2.0, 2, 240.0, bilateral_angle=17.0))
+    environment_fine: ShadingPass = field(default_factory=lambda: ShadingPass(1.5, 2, 120.0, bilateral_angle=17.0))
+    environment_last: ShadingPass = field(default_factory=lambda: ShadingPass(1.5, 2, 60.0, bilateral_angle=17.0))
 
 
 @dataclass(frozen=True)

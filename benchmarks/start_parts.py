@@ -60,7 +60,7 @@ PARTS: dict[str, Part] = {
     "stereo": Part({"fuse_roughly": _nothing}),
     "stereo on photographs of half the size": Part({"weigh_gaps": lambda coarse, fine: [0 * each for each in coarse]}),
     "total variation": Part(settings=("fusion.variation=1e-6",)),
-    "the hull where it fits better": Part(settings=("mirror_share=0", "disbelieved=1e9")),
+    "the hull where it fits better": Part(settings=("max_hull_residual=0", "disbelieved=1e9")),
     "shape from shading": Part({"estimate_light": lambda *given: LightEstimate(), "shape_from_shading": _unmoved}),
     "photometric refinement": Part({"refine_photometrically": _unmoved}),
 }

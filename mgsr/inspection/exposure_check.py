@@ -8,6 +8,7 @@ import numpy as np
 
 from mgsr.config.expert import BrightnessOptions, InspectionConfig
 from mgsr.data.exposure import brightness_offsets, robust_jump
+from mgsr.data.robust import robust_deviation
 from mgsr.data.scene import View
 from mgsr.inspection.features import Features
 from mgsr.inspection.findings import Code, Finding, Severity, pick
@@ -105,7 +106,7 @@ def _common_spread(halves: np.ndarray, least: float) -> float:
 
 def _squared_deviation(values: np.ndarray) -> float:
     """Return the square of the robust standard deviation of values [V], from their median absolute deviation."""
-    return (1.4826 * float(np.median(np.abs(values - np.median(values))))) ** 2
+    return robust_deviation(values - np.median(values)) ** 2
 
 
 def _shared_part(halves: np.ndarray) -> np.ndarray:

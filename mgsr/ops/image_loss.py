@@ -12,7 +12,7 @@ from mgsr.native.cuda.launcher import launcher_for
 from mgsr.native.cuda.terms import Sums
 from mgsr.native.structs import ImagePair
 from mgsr.ops.arrays import plain
-from mgsr.ops.terms import Slope, Term, Total, scalar, needs_gradient
+from mgsr.ops.terms import Slope, Term, Total, needs_gradient, scalar
 
 Region = tuple[int, int, int, int]
 

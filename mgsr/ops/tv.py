@@ -10,7 +10,7 @@ from mgsr.native.cuda.image import ImageKernels
 from mgsr.native.cuda.launcher import launcher_for
 from mgsr.native.cuda.terms import Sums
 from mgsr.ops.arrays import plain
-from mgsr.ops.terms import Slope, Term, Total, scalar, needs_gradient
+from mgsr.ops.terms import Slope, Term, Total, needs_gradient, scalar
 
 
 def edge_aware_tv(values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor | None = None) -> torch.Tensor:

@@ -13,7 +13,7 @@ from mgsr.budget.budget import TimeBudget
 from mgsr.config import Config, DataConfig, Exposure, object_box
 from mgsr.config.expert import DataOptions
 from mgsr.data.camera_search import CameraSearch
-from mgsr.data.exposure import evened
+from mgsr.data.exposure import with_exposures
 from mgsr.data.find_cameras import with_cameras
 from mgsr.data.find_scene import FoundScene
 from mgsr.data.found_cameras import CameraFolder
@@ -39,7 +39,7 @@ from mgsr.pipeline.scene_check import CheckedScene, check_scene, without_flawed
 from mgsr.pipeline.steps import Steps
 from mgsr.pipeline.time_budget import affordable_options, most_points, searches_object
 from mgsr.segmentation.object_masks import NoObject, find_object
-from mgsr.shading.lighting import Lighting, lit_scene
+from mgsr.shading.lighting import Lighting, add_irradiance
 from mgsr.start.points import StartingPoints
 from mgsr.start.scene_depths import DepthMaps, scene_depths
 from mgsr.start.starting_points import starting_points
@@ -176,7 +176,7 @@ def preprocess(
         scene, start = _at_one_exposure(scene, start, config, out, step, None if searched else points)
     if searched:
         scene, start = _object_alone(scene, start, config, out, step, points)
-    return _as_lit(scene, start.lighting, config, out, step), start
+    return _with_irradiance(scene, start.lighting, config, out, step), start
 
 
 def _with_kept_object(out: Path, scene: Scene, step: Steps) -> Scene:
@@ -205,7 +205,7 @@ def _at_one_exposure(
         exposures = find_exposures(scene, start, config.seed, step.should_stop, config.expert)
         if exposures is None:
             return scene, start
-        scene = evened(scene, exposures)
+        scene = with_exposures(scene, exposures)
         result_files.write_exposures(out, scene, exposures)
         text = (
             f"exposures differ by a factor of up to {exposures.largest_difference:.2f}; all photographs are brought "
@@ -268,13 +268,13 @@ def _object_place(scene: Scene, config: Config) -> ObjectPlace | None:
     return scene.object_place if box is None else ObjectPlace(box)
 
 
-def _as_lit(scene: Scene, lighting: Lighting | None, config: Config, out: Path, step: Steps) -> Scene:
+def _with_irradiance(scene: Scene, lighting: Lighting | None, config: Config, out: Path, step: Steps) -> Scene:
     """Add a flash's irradiance to the scene's views, where a flash was found and training shall know of it."""
     if lighting is None or not config.train.flash:
         return scene
     with step("start", "computing the irradiance of the flash in each view"):
         result_files.write_lighting(out, lighting, scene)
-        return lit_scene(scene, lighting)
+        return add_irradiance(scene, lighting)
 
 
 def _learn_masks(scene: Scene, config: Config, step: Steps) -> list[np.ndarray] | None:

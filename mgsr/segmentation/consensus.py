@@ -37,6 +37,6 @@ def tolerant_hull(
     return cut_at(hull, plane.coefficients, options.sunk * pixel_size(cameras, np.zeros(3)))
 
 
-def silhouette(caster: RayCaster, camera: Camera) -> np.ndarray:
+def silhouette_distance(caster: RayCaster, camera: Camera) -> np.ndarray:
     """Return each pixel's signed distance [H,W] to a surface's silhouette, in pixels, positive inside."""
     return signed_distance((caster.cast(camera).depth > 0).astype(np.float32))

@@ -89,11 +89,11 @@ def matte(
         as_object[tested] = np.maximum(as_object[tested], unlike_object)
         as_background[tested] = np.maximum(as_background[tested], unlike_support)
     # Where both costs are equal, the image's edges decide.
-    towards = as_background - as_object
-    for_object, for_background = np.maximum(towards, 0), np.maximum(-towards, 0)
+    advantage = as_background - as_object
+    for_object, for_background = np.maximum(advantage, 0), np.maximum(-advantage, 0)
     if silhouette is not None:
         for_object += options.deep_cost * ((silhouette[window] > options.deep) & known)
-        for_background += options.beside_cost * (silhouette[window] < -options.beside)
+        for_background += options.outside_cost * (silhouette[window] < -options.outside)
     share = random_walker(part, for_object, for_background, inside, options.walker)
     found.share[window] = without_small_holes(share, options.max_hole)
     found.certain[window], found.background_known[window] = known & (as_background > options.certain_cost), known

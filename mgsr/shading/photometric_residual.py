@@ -16,7 +16,7 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import map_ahead
 from mgsr.shading.details import GREY, ChannelMix, KnownLight, ObservedMesh, mix_channels, sample_view
 from mgsr.shading.light_models import LightModel
-from mgsr.shading.observations import read_image
+from mgsr.shading.observations import sample_image
 from mgsr.shading.photo_set import PhotoSet
 
 
@@ -58,8 +58,8 @@ def _column(surface: ObservedMesh, mix: ChannelMix, light: KnownLight) -> np.nda
     values = np.full((2, len(surface.mesh.vertices)), np.nan, np.float32)
     of_use = samples.weights > 0
     pixels = samples.pixels[of_use]
-    shown = np.stack([read_image(mix.mixed, pixels), np.linalg.norm(mix.slopes(pixels), axis=1)])
-    values[:, samples.seen[of_use]] = shown / samples.lit[of_use]
+    shown = np.stack([sample_image(mix.mixed, pixels), np.linalg.norm(mix.slopes(pixels), axis=1)])
+    values[:, samples.seen[of_use]] = shown / samples.irradiance_factor[of_use]
     return values
 
 

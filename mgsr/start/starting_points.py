@@ -20,7 +20,7 @@ from mgsr.start.masked_surface import find_surface
 from mgsr.start.points import StartingPoints, StartSource
 from mgsr.start.scene_depths import DepthMaps, scene_depths
 from mgsr.start.scene_points import scene_points
-from mgsr.start.view_colors import seen_colors
+from mgsr.start.view_colors import median_colors
 
 
 def starting_points(
@@ -64,7 +64,7 @@ def ball_points(
     directions = generator.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     positions = directions * np.cbrt(generator.random(count))[:, None]
-    return StartingPoints(positions, seen_colors(views, positions, options=options), StartSource.BALL)
+    return StartingPoints(positions, median_colors(views, positions, options=options), StartSource.BALL)
 
 
 def hull_points(
@@ -149,7 +149,7 @@ def _seen_on_hull(
 ) -> StartingPoints:
     """Return starting points at positions [P,3] with normals [P,3] on the hull, with the colours that views show."""
     # The hull is only accurate to a voxel, so points within a few voxels do not occlude each other.
-    colors = seen_colors(views, positions, normals, 4 * 1.05 / resolution, options)
+    colors = median_colors(views, positions, normals, 4 * 1.05 / resolution, options)
     return StartingPoints(positions, colors, StartSource.HULL, normals)
 
 

@@ -20,6 +20,7 @@ from mgsr.config import Background, ExpertConfig
 from mgsr.config.expert import ExposureOptions
 from mgsr.data.exposure import at_common_exposure, brightness_jumps
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
+from mgsr.data.robust import robust_deviation
 from mgsr.data.scene import Exposures, Scene, View
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.parallel import one_torch_thread
@@ -70,8 +71,8 @@ def find_exposures(
                 return _rounded(point_factors, len(small))
         factors = np.ones((len(small), 3))
         for _ in range(options.rounds):
-            even = [at_common_exposure(view, factor) for view, factor in zip(small, factors, strict=True)]
-            picture = _trained(scene, start, even, degree, seed, should_stop, options)
+            corrected = [at_common_exposure(view, factor) for view, factor in zip(small, factors, strict=True)]
+            picture = _trained(scene, start, corrected, degree, seed, should_stop, options)
             factors = np.stack([_factor(view, picture(view), options) for view in small])
             mean = np.exp(np.log(factors).mean(axis=0))
             factors /= mean
@@ -190,7 +191,7 @@ def _fitted(view: View, rendered: np.ndarray, usable: np.ndarray, options: Expos
             if found <= 0:
                 return None
             error = target / (found * there) - 1
-            spread = max(1.4826 * float(np.median(np.abs(error))), 1e-3)
+            spread = max(robust_deviation(error), 1e-3)
             weight = np.minimum(1, 1.5 * spread / np.maximum(np.abs(error), 1e-9)) * (found * there < options.white)
             if not weight.any():
                 return None

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from mgsr.budget.costs import Facts, textured_cost
+from mgsr.budget.costs import textured_cost
 from mgsr.budget.estimate import Estimate, Speed, estimate_run
 from mgsr.config import PRESETS, Config, make_config
+from mgsr.data.cost_factors import CostFactors
 from mgsr.data.readers import load_scene
 from mgsr.errors import ConfigError
 from mgsr.pipeline import estimate
@@ -30,13 +31,13 @@ def measured() -> list[dict[str, str]]:
     return [row for row in rows if row["scene"] in SCENES and kind.items() <= row.items()]
 
 
-def facts_of(row: dict[str, str]) -> Facts:
+def cost_factors(row: dict[str, str]) -> CostFactors:
     views, tests, side = SCENES[row["scene"]]
-    return Facts(views, tests, side * side, truth=True, flash=row["scene"] == "bunny_flash")
+    return CostFactors(views, tests, side * side, truth=True, flash=row["scene"] == "bunny_flash")
 
 
 def estimated(row: dict[str, str]) -> Estimate:
-    return estimate_run(row["preset"], facts_of(row), make_config(row["preset"]), Speed(1.0, 1.0), {})
+    return estimate_run(row["preset"], cost_factors(row), make_config(row["preset"]), Speed(1.0, 1.0), {})
 
 
 def test_there_are_runs_to_compare_with() -> None:
@@ -56,7 +57,7 @@ def test_seconds_are_in_proportion_to_those_of_measured_runs() -> None:
     ratios: dict[str, list[float]] = {}
     for row in measured():
         ratios.setdefault(row["commit"], []).append(
-            (estimated(row).seconds - textured_cost(facts_of(row))) / float(row["seconds"])
+            (estimated(row).seconds - textured_cost(cost_factors(row))) / float(row["seconds"])
         )
     assert sum(len(found) for found in ratios.values() if len(found) > 2) > 15
     assert all(max(found) / min(found) < 1.95 for found in ratios.values())

@@ -75,7 +75,7 @@ def assert_close(shown: torch.Tensor, expected: np.ndarray) -> None:
     assert np.median(away) < 5e-4 and away.max() < 1e-2
 
 
-def test_still_light_is_found_where_the_sight_is_thrown() -> None:
+def test_still_light_is_found_where_the_sight_is_reflected() -> None:
     normal = normals(np.random.default_rng(0))
     lit = light(glow(unfolded(SIDE)), np.zeros((SIDE, SIDE, 3)))
     shown = reflected_environment(lit, camera(), torch.tensor(normal).float())

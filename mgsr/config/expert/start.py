@@ -21,7 +21,9 @@ class FirstSurfaceOptions(Options):
     between the rounds. It constrains the small shape better once photometric refinement has corrected the large shape.
     """
 
-    mirror_share: NotNegative = 0.9  # the surface is a mirror if the hull's residual under an environment map is at
+    max_hull_residual: NotNegative = (
+        0.9  # the surface is a mirror if the hull's residual under an environment map is at
+    )
     # most this share of stereo's
     disbelieved: Positive = 0.3  # octaves by which stereo's residual may exceed the hull's before its depths lose all
     # weight

@@ -77,7 +77,7 @@ class ExposureOptions(Options):
 class BackgroundOptions(Options):
     """The surfels of what lies around a found object."""
 
-    beside: Share = 0.005  # of the photograph's longer side; margin of the masks that training ignores
+    mask_margin: Share = 0.005  # of the photograph's longer side; margin of the masks that training ignores
     inside: Share = 0.9  # of the views; a starting point inside the masks of more views is the object's
 
 

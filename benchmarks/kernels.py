@@ -115,7 +115,7 @@ def raster_cases(path: Path) -> list[Case]:
     dual = Problem((means, quats, scales, opacities, colors, *light, background), gaussians_of(view), 8)
     found = path.with_name(f"ref_{path.name}")
     reference = [torch.tensor(np.load(found)["img"])] if found.is_file() else []
-    told = f"image: reference of {path.stem}; gradients: {SMALL}" if reference else SMALL
+    summary = f"image: reference of {path.stem}; gradients: {SMALL}" if reference else SMALL
     small_view, small = small_camera(), random_splats(300, 3)
     small_inputs = tuple(small.values())
     small_light = (small["opacities"].flip(0), small["colors"].flip(0), small["opacities"])
@@ -125,7 +125,7 @@ def raster_cases(path: Path) -> list[Case]:
     )
     oracle = gaussians_oracle_of(small_view)
     cases = [
-        Case("3D, one colour", path.stem, single, one, oracle, told, reference),
+        Case("3D, one colour", path.stem, single, one, oracle, summary, reference),
         Case("3D, both lights", path.stem, dual, both, oracle, SMALL),
     ]
     flat = (means, quats, scales[:, :2].contiguous(), opacities, colors, background)

@@ -28,7 +28,7 @@ from mgsr.config.expert import StartConfig
 from mgsr.data.hull import carve, hull_surface
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
-from mgsr.data.silhouettes import silhouettes
+from mgsr.data.silhouettes import view_silhouettes
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.metrics.surface import surface_metrics
@@ -103,7 +103,7 @@ def reference_scores(path: Path) -> tuple[dict[str, float], dict[str, float]]:
     """Return the scores of the visual hull of a scene's masks, and of its true surface, against the truth."""
     scene = load_scene(path, make_config("standard").data)
     truth, options = find_truth(scene), StartConfig()
-    hull = carve(silhouettes(scene.train, options.mask_side), np.zeros(3), 1.05, options.resolution)
+    hull = carve(view_silhouettes(scene.train, options.mask_side), np.zeros(3), 1.05, options.resolution)
     floor = {} if truth is None else surface_metrics(truth.mesh, truth)
     return scores_of(Mesh(*hull_surface(hull)), scene, truth), floor
 

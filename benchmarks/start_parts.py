@@ -25,7 +25,7 @@ from mgsr.config import ExpertConfig, make_config
 from mgsr.config.expert import StartConfig
 from mgsr.data.hull import carve
 from mgsr.data.readers import load_scene
-from mgsr.data.silhouettes import silhouettes
+from mgsr.data.silhouettes import view_silhouettes
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.pipeline.evaluation import find_truth
@@ -60,7 +60,7 @@ PARTS: dict[str, Part] = {
     "stereo": Part({"fuse_roughly": _nothing}),
     "stereo on photographs of half the size": Part({"weigh_gaps": lambda coarse, fine: [0 * each for each in coarse]}),
     "total variation": Part(settings=("fusion.variation=1e-6",)),
-    "the hull where it fits better": Part(settings=("mirror_share=0", "disbelieved=1e9")),
+    "the hull where it fits better": Part(settings=("max_hull_residual=0", "disbelieved=1e9")),
     "shape from shading": Part({"estimate_light": lambda *given: LightEstimate(), "shape_from_shading": _unmoved}),
     "photometric refinement": Part({"refine_photometrically": _unmoved}),
 }
@@ -86,8 +86,8 @@ def arguments() -> argparse.Namespace:
 def measured(path: Path) -> list[PartRow]:
     """Return a row for the start with all parts and for the start without each."""
     scene = load_scene(path, make_config("standard").data)
-    outlines, truth, rows = silhouettes(scene.train, StartConfig().mask_side), find_truth(scene), []
-    hull = carve(outlines, np.zeros(3), 1.05, StartConfig().resolution)
+    silhouettes, truth, rows = view_silhouettes(scene.train, StartConfig().mask_side), find_truth(scene), []
+    hull = carve(silhouettes, np.zeros(3), 1.05, StartConfig().resolution)
 
     maps: dict[int, list[DepthMap]] = {}
 
@@ -100,9 +100,9 @@ def measured(path: Path) -> list[PartRow]:
     for without, part in {ALL: Part(), **PARTS}.items():
         with patch.multiple(masked_surface, match_views=once, **part.replaced):
             if without == ALL:
-                find_surface(scene.train, outlines, hull, 0)  # makes stereo's maps
+                find_surface(scene.train, silhouettes, hull, 0)  # makes stereo's maps
             began = time.process_time()
-            surface = find_surface(scene.train, outlines, hull, 0, expert=part.options())
+            surface = find_surface(scene.train, silhouettes, hull, 0, expert=part.options())
             seconds = time.process_time() - began
         scores = scores_of(surface.mesh, scene, truth)
         rows.append(

@@ -102,7 +102,7 @@ class Post:
         """Forget a message that arrived or never will; otherwise set the time of the next try."""
         job, number = message.record.id, message.round
         if trouble is None or trouble == str(_GONE) or message.age > GIVEN_UP_SECONDS:
-            self._jobs.told(job, number)
+            self._jobs.mark_notified(job, number)
             self._redis.delete(_tries_key(job, number), _wait_key(job, number))
             log.info("job %s: webhook %s", job, "delivered" if trouble is None else f"given up: {trouble}")
             return
@@ -115,11 +115,11 @@ class Post:
 
 def content(record: JobRecord, number: int, outcome: Outcome) -> dict[str, object]:
     """Return the message's JSON content: type, timestamp and data, with the job's outcome."""
-    told = outcome.model_dump(mode="json", include={"status", "finished", "error", "metrics"})
+    payload = outcome.model_dump(mode="json", include={"status", "finished", "error", "metrics"})
     return {
         "type": f"job.{outcome.status}",
-        "timestamp": told["finished"],
-        "data": {"id": record.id, "name": record.options.name, "round": number, **told},
+        "timestamp": payload["finished"],
+        "data": {"id": record.id, "name": record.options.name, "round": number, **payload},
     }
 
 

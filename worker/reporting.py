@@ -31,7 +31,7 @@ BEFORE = {
     "unpack": 0.0,
     "load": 0.01,
     "check": 0.015,
-    "outlines": 0.02,
+    "learned_masks": 0.02,
     "start": 0.03,
     "exposures": 0.04,
     "object": 0.043,
@@ -54,7 +54,7 @@ class Reporter:
         self._photographs = PhotographFiles(previews)
         self._emit = emit
         self._log = log
-        self._step, self._begun = "", time.monotonic()  # the step, and when it began; training's stays
+        self._step, self._started_at = "", time.monotonic()  # the step, and when it began; training's stays
         self._last = float("-inf")
         self._curve: list[dict[str, Any]] = []
         self._pictures: dict[str, int] = {}
@@ -79,7 +79,7 @@ class Reporter:
     def _prepare(self, event: Event) -> None:
         """Report a step before training: how far it is and how long it will take, where it says so."""
         if event.step != self._step:
-            self._step, self._begun = event.step, time.monotonic()
+            self._step, self._started_at = event.step, time.monotonic()
         self._searched |= event.step == "cameras"
         begin, end = self._bounds(event.step)
         if event.inspection is not None:
@@ -89,7 +89,7 @@ class Reporter:
         if not event.done:
             self._emit("step", text=event.text, step=event.step, **self._place(begin, None))
             return
-        left = (time.monotonic() - self._begun) / event.done * (1 - event.done)
+        left = (time.monotonic() - self._started_at) / event.done * (1 - event.done)
         part = {"step_progress": round(event.done, 3), "step_eta_seconds": round(left, 1)}
         place = self._place(begin + (end - begin) * event.done, None)
         self._emit("step", text=event.text, step=event.step, **place | part)
@@ -159,7 +159,7 @@ class Reporter:
 
     def _reached(self, left: float, trained: float = 0.0) -> float:
         """Return progress 0..1, from the share of time since training began; training before a resume counts too."""
-        spent = max(time.monotonic() - self._begun, trained)
+        spent = max(time.monotonic() - self._started_at, trained)
         begin = self._after_search(BEFORE["train"])
         return begin + (1 - begin) * spent / (spent + left)
 

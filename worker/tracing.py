@@ -37,8 +37,8 @@ class RoundTrace:
         submit = TraceContextTextMapPropagator().extract({"traceparent": self._record.traceparent or ""})
         about: dict[str, str | int] = {"mgsr.job": self._record.id, "mgsr.round": self._number}
         if self._waiting_since is not None:
-            begun = round(self._waiting_since.timestamp() * 1e9)
-            self._tracer.start_span("queue", submit, attributes=about, start_time=begun).end()
+            started_at = round(self._waiting_since.timestamp() * 1e9)
+            self._tracer.start_span("queue", submit, attributes=about, start_time=started_at).end()
         work = self._tracer.start_as_current_span("job", submit, attributes=about)
         self._work = self._stack.enter_context(work)
         return self

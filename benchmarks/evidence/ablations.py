@@ -147,17 +147,17 @@ def _paper_means(paper: PaperMeans, method: PaperMeans) -> list[str]:
 
 def _finding(finding: str, name: str, scores: Sequence[str], rows: Sequence[Row]) -> str:
     """Return a line of the list: the finding, then each score's verdict and figures."""
-    told, own = [], _runs(named_rows()[name], rows)
+    sentences, own = [], _runs(named_rows()[name], rows)
     method = held_against(own, rows)
     for score in scores:
         found = compare(method, own, score)
         if found is None:
             continue
         if score == "seconds" and found.busy:
-            told.append("time: unknown, because the machine was busy")
+            sentences.append("time: unknown, because the machine was busy")
             continue
-        told.append(f"**{verdict(found, seed_spread(rows, score))}**: {found.words()}")
-    return f"- {finding} (row {name}). " + (" ".join(f"{words}." for words in told) or "These rows were not run.")
+        sentences.append(f"**{verdict(found, seed_spread(rows, score))}**: {found.words()}")
+    return f"- {finding} (row {name}). " + (" ".join(f"{words}." for words in sentences) or "These rows were not run.")
 
 
 def _about_seeds(rows: Sequence[Row]) -> str:

@@ -49,8 +49,8 @@ class Comparison:
         name, unit, form, _ = SCORES[self.score]
         gains = list(self.gains.values())
         mean, low, high = (f"{value:+z{form}}" for value in (statistics.fmean(gains), min(gains), max(gains)))
-        told = f"{name} better on {len(self.better)}, worse on {len(self.worse)} of {len(gains)} scenes"
-        return f"{told} (mean gain {mean}{unit}, from {low} to {high})"
+        summary = f"{name} better on {len(self.better)}, worse on {len(self.worse)} of {len(gains)} scenes"
+        return f"{summary} (mean gain {mean}{unit}, from {low} to {high})"
 
 
 def plain_runs(rows: Sequence[Row], method: str = "mgsr", variant: str = "", preset: str = PRESET) -> dict[str, Row]:

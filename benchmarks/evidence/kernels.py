@@ -139,23 +139,23 @@ def _cells(row: KernelRow) -> list[str]:
 def _words(rows: Sequence[KernelRow]) -> str:
     variants = {row.variant for row in rows}
     best = next((name for name in ("avx512", "avx2") if name in variants), "baseline")
-    told = [
+    sentences = [
         _against(rows, best, other, words) for other, words in (("baseline", "The baseline"), ("torch", "Plain torch"))
     ]
     crossed = list(dict.fromkeys(row.kernel for row in rows if row.error_max > ROUNDING))
     if crossed:
-        told.append(
+        sentences.append(
             f"Errors above {ROUNDING:.0e} do not come from rounding. A splat falls on the other side of a threshold, "
             f"or a depth lies where hardly anything is visible: {', '.join(crossed)}."
         )
     worst = max((row for row in rows if row.gradient_max is not None), key=lambda row: row.gradient_max or 0)
-    told.append(
+    sentences.append(
         f"The worst gradient is that of {worst.kernel}, {worst.variant}: its error is {worst.gradient_max:.1e} of the "
         "largest true gradient."
     )
     lacking = [name for name in ("avx512", "cuda") if name not in variants]
-    told.append(f"No machine was available to measure {', '.join(lacking)}." if lacking else "")
-    return " ".join(words for words in told if words)
+    sentences.append(f"No machine was available to measure {', '.join(lacking)}." if lacking else "")
+    return " ".join(words for words in sentences if words)
 
 
 def _against(rows: Sequence[KernelRow], best: str, other: str, words: str) -> str:

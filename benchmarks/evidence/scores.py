@@ -43,17 +43,17 @@ def _beside_the_hull(row: Row, fact: SceneFacts) -> list[str]:
 
 def _with_one_change(evidence: Evidence) -> list[str]:
     """Compare runs without masks, and those before shading refined the surface."""
-    told, runs = [], plain_runs(evidence.rows)
+    sentences, runs = [], plain_runs(evidence.rows)
     unmasked = plain_runs(evidence.rows, variant="masks=off")
     if unmasked:
         head = ["scene", "Chamfer (with masks)", "F (with masks)", "normal error (with masks)", "PSNR"]
         cells = [[scene, *_beside_masks(row, runs.get(scene))] for scene, row in unmasked.items()]
-        told += ["Without masks (`masks=off`), before a plain white backdrop:", markdown(head, cells)]
+        sentences += ["Without masks (`masks=off`), before a plain white backdrop:", markdown(head, cells)]
     shading = compare(runs, plain_runs(evidence.rows, variant=BEFORE_SHADING), "chamfer")
     if shading is not None:
         each = ", ".join(f"{scene} {gain:+z.2f}" for scene, gain in shading.gains.items())
-        told.append(f"Refinement by shading, and all later changes, gain in Chamfer: {each}.")
-    return told
+        sentences.append(f"Refinement by shading, and all later changes, gain in Chamfer: {each}.")
+    return sentences
 
 
 def _beside_masks(row: Row, masked: Row | None) -> list[str]:
@@ -99,12 +99,12 @@ def _run_cells(row: Row) -> list[str]:
 
 
 def _method_words(evidence: Evidence) -> list[str]:
-    told, mgsr = [], plain_runs(evidence.rows)
+    sentences, mgsr = [], plain_runs(evidence.rows)
     for other, score in (("3dgs", "psnr"), ("3dgs", "chamfer"), ("2dgs", "psnr"), ("2dgs", "chamfer")):
         found = compare(mgsr, plain_runs(evidence.rows, other), score)
         if found is not None:
-            told.append(f"- `mgsr` beside `{other}`: {found.words()}.")
-    return ["\n".join(told)] if told else []
+            sentences.append(f"- `mgsr` beside `{other}`: {found.words()}.")
+    return ["\n".join(sentences)] if sentences else []
 
 
 def curve_section(evidence: Evidence) -> str:

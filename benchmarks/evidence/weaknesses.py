@@ -23,9 +23,9 @@ def _weak_scores(evidence: Evidence) -> list[str]:
             points.append(f"The surface is no better than with the 2D branch alone: {found.words()}.")
     harmed = [row for row in evidence.rows if row.split_gain is not None and row.split_gain < 0]
     if harmed:
-        told = ", ".join(f"{_label(row)} {row.split_gain:.2f} dB" for row in harmed)
+        summary = ", ".join(f"{_label(row)} {row.split_gain:.2f} dB" for row in harmed)
         points.append(
-            f"The light split does harm, because the photograph itself is nearer to the matte object: {told}."
+            f"The light split does harm, because the photograph itself is nearer to the matte object: {summary}."
         )
     low = [row for row in mgsr.values() if row.f_score is not None and row.f_score < 0.8]
     points += [f"On {row.scene} only {row.f_score:.0%} of the surface lies within 0.5% (F)." for row in low]

@@ -70,11 +70,11 @@ class LoadWatch:
     """A watch of what others did with the machine while a child process ran."""
 
     def __init__(self) -> None:
-        self._begun, self._busy, self._own = time.monotonic(), _busy_seconds(), _children_seconds()
+        self._started_at, self._busy, self._own = time.monotonic(), _busy_seconds(), _children_seconds()
 
     def read(self) -> Load:
         """Return the load since the watch was made; the child must have ended."""
-        wall, busy = time.monotonic() - self._begun, _busy_seconds()
+        wall, busy = time.monotonic() - self._started_at, _busy_seconds()
         if busy is None or self._busy is None:
             return Load(wall, None)
         own = _children_seconds() - self._own

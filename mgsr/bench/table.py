@@ -68,12 +68,12 @@ def number(value: float | str | None, form: str) -> str:
 
 def _circumstances(rows: Sequence[Row]) -> list[str]:
     """Return the machines, versions and notes of the rows, each once, with its rows where it is not of all."""
-    told = []
+    sentences = []
     for field, words in (("machine", "Machine"), ("versions", "Versions"), ("scored_by", "Scored by"), ("note", "")):
         for value in dict.fromkeys(getattr(row, field) for row in rows if getattr(row, field)):
             about = [row for row in rows if getattr(row, field) == value]
-            told.append(f"{words + ': ' if words else ''}{value}{_which(about, rows)}")
-    return told
+            sentences.append(f"{words + ': ' if words else ''}{value}{_which(about, rows)}")
+    return sentences
 
 
 def _which(about: Sequence[Row], rows: Sequence[Row]) -> str:

@@ -16,7 +16,6 @@ from dataclasses import replace
 from typing import Any
 
 from mgsr.budget import costs
-from mgsr.budget.costs import Facts
 from mgsr.budget.line import JUST_ABOVE_DRAFT, SettingsLine
 from mgsr.config import (
     Branches,
@@ -28,6 +27,7 @@ from mgsr.config import (
     SurfelConfig,
     starting_settings,
 )
+from mgsr.data.cost_factors import CostFactors
 from mgsr.training.stage_scheduler import FINISH, StageLength
 
 SCALES = (1.0, 0.71, 0.5, 0.35, 0.25)  # sizes of the photographs that may be chosen
@@ -93,11 +93,11 @@ class TimeBudget:
         self._slowness = ratio if self._slowness is None else (self.slowness * ratio) ** 0.5
         self._drift = self._latest = 1.0
 
-    def choose_scale(self, facts: Facts) -> float:
+    def choose_scale(self, factors: CostFactors) -> float:
         """Return the largest size of the photographs at which the preset draft fits; the smallest if none."""
         draft = self.line.at(0.0)
         for scale in SCALES:
-            smaller = _scaled(facts, scale)
+            smaller = _scaled(factors, scale)
             if smaller.pixels < self.options.min_pixels and self.scale is not None:
                 break
             self.scale = scale
@@ -108,14 +108,14 @@ class TimeBudget:
         assert self.scale is not None
         return self.scale
 
-    def choose_place(self, facts: Facts, measured: Mapping[str, float], splats: Mapping[str, int]) -> float:
+    def choose_place(self, factors: CostFactors, measured: Mapping[str, float], splats: Mapping[str, int]) -> float:
         """Return the place on the line at which the plan fills the remaining time.
 
         measured: seconds of one iteration, by stage in their order; splats: by branch, as they were then.
         """
-        self._facts, self._costs, self._probed = facts, dict(measured), dict(splats)
+        self._factors, self._costs, self._probed = factors, dict(measured), dict(splats)
         if not self.on_card:
-            reference = {name: costs.iteration_cost(name, facts, splats) for name in measured}
+            reference = {name: costs.iteration_cost(name, factors, splats) for name in measured}
             self.learn(sum(reference.values()), sum(measured.values()))
         low, high = self.options.lowest, self.options.highest
         self.least = self.spent + self._total(self.line.at(low), reserve=0.0)
@@ -155,7 +155,7 @@ class TimeBudget:
         assert self.place is not None
         lowest, place, least = self.options.lowest, self.place, min(self.refined, self.options.min_refined)
         self._drift = max(self._drift, self._latest)  # training ends soon after the machine has slowed down
-        while place > lowest and self.spent + self._after(self._facts, self._mesh, 0.15, least) > self._aim:
+        while place > lowest and self.spent + self._after(self._factors, self._mesh, 0.15, least) > self._aim:
             place = max(lowest, place - 0.25)
             self._mesh = self.line.at(place).mesh
         return self._mesh
@@ -163,13 +163,13 @@ class TimeBudget:
     def learn_surface(self, surface: float, judging: float) -> None:
         """Update the machine's slowness by the seconds that the surface, and its scores and pictures, took."""
         if not self._cut:
-            self.learn(costs.mesh_cost(self._facts, self._mesh, refined=1.0), surface)
-        self.learn(costs.judging_cost(self._facts), judging)
+            self.learn(costs.mesh_cost(self._factors, self._mesh, refined=1.0), surface)
+        self.learn(costs.judging_cost(self._factors), judging)
 
     def go_on(self) -> bool:
         """Return whether there is time for another round of refining the surface."""
-        rest = costs.judging_cost(self._facts) + costs.closing_cost(self._facts)
-        fits = self.spent + self.slowness * (costs.round_cost(self._facts, self._mesh) + rest) < self._aim
+        rest = costs.judging_cost(self._factors) + costs.closing_cost(self._factors)
+        fits = self.spent + self.slowness * (costs.round_cost(self._factors, self._mesh) + rest) < self._aim
         self._cut |= not fits
         return fits
 
@@ -178,7 +178,7 @@ class TimeBudget:
 
         splats: by branch.
         """
-        left = self._aim - self.slowness * costs.closing_cost(self._facts) - self.spent
+        left = self._aim - self.slowness * costs.closing_cost(self._factors) - self.spent
         return max(0, int(left / self._expected(FINISH, splats)))
 
     def state(self) -> dict[str, Any]:
@@ -203,9 +203,9 @@ class TimeBudget:
         self._slowness = state["slowness"]
         self._costs, self._probed = dict(state["costs"]), dict(state["probed"])
 
-    def take_up(self, facts: Facts) -> None:
+    def take_up(self, factors: CostFactors) -> None:
         """Set after `restore` what `choose_place` would have set."""
-        self._facts = facts
+        self._factors = factors
         self._settle()
 
     @property
@@ -230,9 +230,9 @@ class TimeBudget:
         self._floors = {name: min(_iterations(chosen, name), _iterations(least, name)) for name in self._costs}
         self._ceilings = {name: _iterations(most, name) for name in self._costs}
         if not self.planned:
-            surface = self.slowness * costs.mesh_cost(self._facts, chosen.mesh, self.refined)
-            closing = self.slowness * costs.closing_cost(self._facts)
-            judging = self.slowness * costs.judging_cost(self._facts)
+            surface = self.slowness * costs.mesh_cost(self._factors, chosen.mesh, self.refined)
+            closing = self.slowness * costs.closing_cost(self._factors)
+            judging = self.slowness * costs.judging_cost(self._factors)
             training = max(self._aim - self.spent - surface - judging - closing, sum(self._weights.values()))
             self.planned = {
                 "before": self.spent,
@@ -245,23 +245,23 @@ class TimeBudget:
     def _total(self, config: Config, reserve: float | None = None, refined: float = 1.0) -> float:
         """Return the seconds that these settings take from the first iteration on (see `_after`)."""
         training = sum(self._stage(name, config) for name in self._costs)
-        return training + self._after(self._facts, config.mesh, reserve, refined)
+        return training + self._after(self._factors, config.mesh, reserve, refined)
 
     def _refinable(self, config: Config) -> float:
         """Return the share of the refinement's time that these settings leave for it, 0..1; 0 without refinement."""
-        whole = self.slowness * costs.refinement_cost(self._facts, config.mesh)
+        whole = self.slowness * costs.refinement_cost(self._factors, config.mesh)
         left = self._aim - self.spent - self._total(config, refined=0.0)
         return min(left / whole, 1.0) if whole else 0.0
 
     def _stage(self, name: str, config: Config) -> float:
-        splats = _splats(name, self._facts, config)
+        splats = _splats(name, self._factors, config)
         return _work(config, name) * self._expected(name, splats)
 
     def _expected(self, name: str, splats: Mapping[str, int]) -> float:
         """Return the expected seconds of one iteration: as measured, but scaled to this number of splats."""
         like = name if name in self._costs else list(self._costs)[-1]
-        reference = costs.iteration_cost(like, self._facts, self._probed)
-        return self._costs[like] * costs.iteration_cost(name, self._facts, splats) / reference
+        reference = costs.iteration_cost(like, self._factors, self._probed)
+        return self._costs[like] * costs.iteration_cost(name, self._factors, splats) / reference
 
     def _present(self, name: str, splats: Mapping[str, int]) -> float:
         """Return the current seconds per iteration, and update the machine's drift from the expected speed."""
@@ -278,14 +278,14 @@ class TimeBudget:
     def _end(self, stages: Sequence[StageLength], index: int) -> float:
         """Return the time at which the stage should end: its share of the time until the surface must begin."""
         if stages[index].name == FINISH:
-            return self._aim - self.slowness * costs.closing_cost(self._facts)
+            return self._aim - self.slowness * costs.closing_cost(self._factors)
         assert self.place is not None
         weights = [self._weights[stage.name] for stage in stages[index:] if stage.name != FINISH]
-        surface_begins = self._aim - self._after(self._facts, self._mesh)
+        surface_begins = self._aim - self._after(self._factors, self._mesh)
         return self._opened + (surface_begins - self._opened) * weights[0] / sum(weights)
 
     def _after(
-        self, facts: Facts, mesh: MeshConfig, reserve: float | None = None, refined: float | None = None
+        self, factors: CostFactors, mesh: MeshConfig, reserve: float | None = None, refined: float | None = None
     ) -> float:
         """Return the seconds reserved for the steps after training.
 
@@ -293,13 +293,13 @@ class TimeBudget:
         share, None for the option; the refinement needs none, since it can end early.
         """
         reserve = self.options.reserve if reserve is None else reserve
-        surface = (1 + reserve) * (costs.surface_cost(facts, mesh) + costs.judging_cost(facts))
-        refinement = (self.refined if refined is None else refined) * costs.refinement_cost(facts, mesh)
-        return self.slowness * (surface + refinement + costs.closing_cost(facts))
+        surface = (1 + reserve) * (costs.surface_cost(factors, mesh) + costs.judging_cost(factors))
+        refinement = (self.refined if refined is None else refined) * costs.refinement_cost(factors, mesh)
+        return self.slowness * (surface + refinement + costs.closing_cost(factors))
 
 
-def _scaled(facts: Facts, scale: float) -> Facts:
-    return replace(facts, pixels=facts.pixels * scale**2)
+def _scaled(factors: CostFactors, scale: float) -> CostFactors:
+    return replace(factors, pixels=factors.pixels * scale**2)
 
 
 def _iterations(config: Config, stage: str) -> int:
@@ -322,24 +322,24 @@ def _work(config: Config, stage: str) -> int:
     )
 
 
-def _splats(stage: str, facts: Facts, config: Config) -> dict[str, int]:
+def _splats(stage: str, factors: CostFactors, config: Config) -> dict[str, int]:
     """Return the number of splats by branch, in the middle of a stage."""
-    surfels, gaussians = starting_settings(config.train, facts.masked, costs.usual_points(facts, config))
+    surfels, gaussians = starting_settings(config.train, factors.masked, costs.usual_points(factors, config))
     branches: dict[str, SurfelConfig | GaussianConfig] = {"surfels": surfels, "gaussians": gaussians}
     if config.train.branches is not Branches.BOTH:
         branches = {config.train.branches.value: branches[config.train.branches.value]}
     most = {name: branch.densify.max_count for name, branch in branches.items()}
     if "gaussians" in most and gaussians.densify.by is Growth.ERROR:
-        most["gaussians"] = min(most["gaussians"], costs.usual_count(gaussians.max_start, facts))
+        most["gaussians"] = min(most["gaussians"], costs.usual_count(gaussians.max_start, factors))
     if not stage.startswith("warmup"):
         return most
     return {name: (branch.max_start + most[name]) // 2 for name, branch in branches.items()}
 
 
-def reference_training(facts: Facts, config: Config) -> float:
+def reference_training(factors: CostFactors, config: Config) -> float:
     """Return the seconds of training on the reference machine."""
     return sum(
-        _work(config, name) * costs.iteration_cost(name, facts, _splats(name, facts, config))
+        _work(config, name) * costs.iteration_cost(name, factors, _splats(name, factors, config))
         for name in _stages(config)
     )
 

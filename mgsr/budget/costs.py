@@ -8,16 +8,15 @@ it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from mgsr.config import Config, MeshConfig
 from mgsr.config.expert import SceneStereoOptions
+from mgsr.data.cost_factors import CostFactors
 from mgsr.data.image_pairs import pair_count
 from mgsr.data.scene import PHOTOGRAPHS
 from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import rendered_pixels, surface_cells
 
-USUAL_PIXELS = 256 * 256
 GROWN = 0.15  # Gaussians added by error-driven growth, per pixel of a view
 STEREO = 18.5  # a megapixel that stereo searches in all photographs together
 FILLED = 0.1  # a view, to continue depths over what has no contrast
@@ -30,35 +29,9 @@ FEATURE_PIXELS = 2400 * 1800  # of larger photographs, reduced copies are search
 MOST_FEATURES = 8192  # in a photograph
 
 
-@dataclass(frozen=True)
-class Facts:
-    """The factors of a scene's cost.
-
-    views, tests: its training and test views; pixels: of one view, in the mean; truth: whether the true surface lies
-    beside it; shiny: whether shading may refine its mesh; masked: whether there are masks; learned: whether masks are
-    learned where there are none; flash: whether the light is a flash's; searched: whether an object is looked for where
-    there are no masks.
-    """
-
-    views: int
-    tests: int
-    pixels: float
-    truth: bool
-    shiny: bool = True
-    masked: bool = True
-    learned: bool = False
-    flash: bool = False
-    searched: bool = False
-
-    @property
-    def size(self) -> float:
-        """Return the pixels of a view as a share of the usual."""
-        return self.pixels / USUAL_PIXELS
-
-
-def load_cost(facts: Facts) -> float:
+def load_cost(factors: CostFactors) -> float:
     """Return the seconds that reading the photographs takes."""
-    return 0.15 + 0.01 * (facts.views + facts.tests) * facts.size
+    return 0.15 + 0.01 * (factors.views + factors.tests) * factors.size
 
 
 def cameras_cost(photographs: int, pixels: float, frames: bool) -> float:
@@ -72,83 +45,83 @@ def cameras_cost(photographs: int, pixels: float, frames: bool) -> float:
     return photographs * (0.46 * megapixels + 0.05 * features) + pair_count(photographs, frames) * 0.0087 * features
 
 
-def stereo_pixels(facts: Facts, most: int) -> float:
+def stereo_pixels(factors: CostFactors, most: int) -> float:
     """Return the pixels that stereo of everything in view searches in all photographs; most: the setting's limit."""
-    return min(most, facts.pixels * min(facts.views, PHOTOGRAPHS))
+    return min(most, factors.pixels * min(factors.views, PHOTOGRAPHS))
 
 
-def start_cost(facts: Facts, most: int = SceneStereoOptions().max_pixels) -> float:
+def start_cost(factors: CostFactors, most: int = SceneStereoOptions().max_pixels) -> float:
     """Return the seconds that finding the starting points takes, on the hull or by stereo.
 
     most: the pixels that stereo of everything in view searches at most.
     """
-    search = SEARCHED * facts.views if facts.searched else 0.0
-    everything = STEREO * stereo_pixels(facts, most) / 1e6 + FILLED * min(facts.views, PHOTOGRAPHS)
-    if not facts.masked and not facts.learned:
+    search = SEARCHED * factors.views if factors.searched else 0.0
+    everything = STEREO * stereo_pixels(factors, most) / 1e6 + FILLED * min(factors.views, PHOTOGRAPHS)
+    if not factors.masked and not factors.learned:
         return search + everything
-    surface = (43.0 if facts.shiny else 26.0) * (facts.views / 48 * facts.size) ** 0.7
-    seconds: float = search + everything * facts.searched + LEARNED * facts.learned + 2.0 + surface
+    surface = (43.0 if factors.shiny else 26.0) * (factors.views / 48 * factors.size) ** 0.7
+    seconds: float = search + everything * factors.searched + LEARNED * factors.learned + 2.0 + surface
     return seconds
 
 
-def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float:
+def iteration_cost(stage: str, factors: CostFactors, splats: Mapping[str, int]) -> float:
     """Return the seconds that one iteration of a stage of training takes, with so many splats in each branch."""
     flat, full = (splats.get(name, 0) / 10_000 for name in ("surfels", "gaussians"))
-    surfels = 0.0045 + 0.011 * facts.size + 0.0025 * flat
-    gaussians = 0.0045 + 0.015 * facts.size + 0.0035 * full
+    surfels = 0.0045 + 0.011 * factors.size + 0.0025 * flat
+    gaussians = 0.0045 + 0.015 * factors.size + 0.0035 * full
     if stage == "mutual":
         return 1.15 * (surfels + gaussians)
     return surfels if stage == "warmup_surfels" or not full else gaussians
 
 
-def usual_count(start: int, facts: Facts) -> int:
+def usual_count(start: int, factors: CostFactors) -> int:
     """Return the usual final number of Gaussians of a branch that starts with `start` and grows by errors.
 
     Scenes differ much: matte toys take 0.02 a pixel, lego 0.2.
     """
-    return start + round(GROWN * facts.pixels)
+    return start + round(GROWN * factors.pixels)
 
 
-def usual_points(facts: Facts, config: Config) -> int:
+def usual_points(factors: CostFactors, config: Config) -> int:
     """Return the usual number of starting points of a scene."""
-    if facts.masked or facts.learned:
+    if factors.masked or factors.learned:
         return max(config.train.surfels.max_start, config.train.gaussians.max_start)
-    return round(STEREO_POINTS * stereo_pixels(facts, config.expert.start.stereo.max_pixels))
+    return round(STEREO_POINTS * stereo_pixels(factors, config.expert.start.stereo.max_pixels))
 
 
-def surface_cost(facts: Facts, config: MeshConfig) -> float:
+def surface_cost(factors: CostFactors, config: MeshConfig) -> float:
     """Return the seconds that rendering the surface's views and extracting it takes, without its refinement."""
-    base = 0.3 + 12.0 * surface_cells(facts, config) ** 2 + 0.55 * rendered_pixels(facts, config) / 1e6
-    seconds: float = base + sum(step.cost(facts, config) for step in mesh_steps() if not step.refines)
+    base = 0.3 + 12.0 * surface_cells(factors, config) ** 2 + 0.55 * rendered_pixels(factors, config) / 1e6
+    seconds: float = base + sum(step.cost(factors, config) for step in mesh_steps() if not step.refines)
     return seconds
 
 
-def refinement_cost(facts: Facts, config: MeshConfig) -> float:
+def refinement_cost(factors: CostFactors, config: MeshConfig) -> float:
     """Return the seconds of all mesh steps that refine it against the photographs."""
-    seconds: float = sum(step.cost(facts, config) for step in mesh_steps() if step.refines)
+    seconds: float = sum(step.cost(factors, config) for step in mesh_steps() if step.refines)
     return seconds
 
 
-def mesh_cost(facts: Facts, config: MeshConfig, refined: float) -> float:
+def mesh_cost(factors: CostFactors, config: MeshConfig, refined: float) -> float:
     """Return the seconds that the surface takes with a share `refined` of its refinement."""
-    return surface_cost(facts, config) + refined * refinement_cost(facts, config)
+    return surface_cost(factors, config) + refined * refinement_cost(factors, config)
 
 
-def round_cost(facts: Facts, config: MeshConfig) -> float:
+def round_cost(factors: CostFactors, config: MeshConfig) -> float:
     """Return the seconds of one round of refinement, including preparation where it is needed."""
-    return refinement_cost(facts, config) / (FLASH_ROUNDS if facts.flash else ROUNDS)
+    return refinement_cost(factors, config) / (FLASH_ROUNDS if factors.flash else ROUNDS)
 
 
-def judging_cost(facts: Facts) -> float:
+def judging_cost(factors: CostFactors) -> float:
     """Return the seconds that scores and pictures of the surface take."""
-    return (4.0 if facts.truth else 0.1) + 2.0 + 0.3 * min(facts.tests, 6)
+    return (4.0 if factors.truth else 0.1) + 2.0 + 0.3 * min(factors.tests, 6)
 
 
-def textured_cost(facts: Facts) -> float:
+def textured_cost(factors: CostFactors) -> float:
     """Return the seconds that the textured model takes."""
-    return MODEL + 0.05 * facts.views * facts.size
+    return MODEL + 0.05 * factors.views * factors.size
 
 
-def closing_cost(facts: Facts) -> float:
+def closing_cost(factors: CostFactors) -> float:
     """Return the seconds that the textured model, the test renders, their scores and the report take."""
-    return textured_cost(facts) + 0.8 + 0.2 * facts.tests * facts.size
+    return textured_cost(factors) + 0.8 + 0.2 * factors.tests * factors.size

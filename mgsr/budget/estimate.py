@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from mgsr.budget import costs
 from mgsr.budget.budget import reference_training
-from mgsr.budget.costs import Facts
 from mgsr.config import Config, starting_settings
+from mgsr.data.cost_factors import CostFactors
 
 # Fitted to the runs of benchmarks/results/runs.csv on the CPU: MiB of the program with its libraries, of a million
 # pixels of photographs, of the surface's octree for each doubling beyond the preset draft's, and of 1,000 splats beyond
@@ -37,24 +37,24 @@ class Estimate:
     steps: dict[str, float]
 
 
-def estimate_run(preset: str, facts: Facts, config: Config, speed: Speed, before: dict[str, float]) -> Estimate:
+def estimate_run(preset: str, factors: CostFactors, config: Config, speed: Speed, before: dict[str, float]) -> Estimate:
     """Return the estimate of a run with these settings. before: measured seconds of the steps that need no estimate."""
     steps = before | {
-        "start": speed.rest * costs.start_cost(facts, config.expert.start.stereo.max_pixels),
-        "train": speed.training * reference_training(facts, config),
-        "mesh": speed.rest * costs.mesh_cost(facts, config.mesh, refined=1.0),
-        "evaluate": speed.rest * costs.judging_cost(facts),
-        "report": speed.rest * costs.closing_cost(facts),
+        "start": speed.rest * costs.start_cost(factors, config.expert.start.stereo.max_pixels),
+        "train": speed.training * reference_training(factors, config),
+        "mesh": speed.rest * costs.mesh_cost(factors, config.mesh, refined=1.0),
+        "evaluate": speed.rest * costs.judging_cost(factors),
+        "report": speed.rest * costs.closing_cost(factors),
     }
     rounded = {name: round(seconds, 1) for name, seconds in steps.items()}
-    return Estimate(preset, round(sum(steps.values()), 1), round(memory_mib(facts, config)), rounded)
+    return Estimate(preset, round(sum(steps.values()), 1), round(memory_mib(factors, config)), rounded)
 
 
-def memory_mib(facts: Facts, config: Config) -> float:
+def memory_mib(factors: CostFactors, config: Config) -> float:
     """Return the most memory, MiB, that the process of a run on the CPU will hold."""
-    photographs = (facts.views + facts.tests) * facts.pixels / 1e6
+    photographs = (factors.views + factors.tests) * factors.pixels / 1e6
     surface = _SURFACE * max(0.0, 2.0 ** (config.mesh.poisson_depth - _DRAFT_DEPTH) - 1)
-    surfels, gaussians = starting_settings(config.train, facts.masked, costs.usual_points(facts, config))
+    surfels, gaussians = starting_settings(config.train, factors.masked, costs.usual_points(factors, config))
     splats = surfels.densify.max_count + gaussians.max_start
     extra = max(0, splats - _USUAL_SPLATS) / 1000
     return _PROGRAM + _PHOTOGRAPHS * photographs + surface + _SPLATS * extra

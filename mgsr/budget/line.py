@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import reduce
 from typing import Any
 
 from mgsr.config import PRESETS, Config, field_types, make_config
+from mgsr.config.overrides import value_at
 
 JUST_ABOVE_DRAFT = 0.01  # where the parts that draft lacks begin
 
@@ -28,9 +28,10 @@ class SettingsLine:
         asked = make_config(config.preset, config.method)
         presets = [make_config(name, config.method) for name in PRESETS]
         self._values = {
-            path: [_value(preset, path) for preset in presets]
+            path: [value_at(preset, path) for preset in presets]
             for path in field_types(config)
-            if len({_value(preset, path) for preset in presets}) > 1 and _value(config, path) == _value(asked, path)
+            if len({value_at(preset, path) for preset in presets}) > 1
+            and value_at(config, path) == value_at(asked, path)
         }
         # The presets' own names are among them.
         self._values.pop("preset", None)
@@ -39,11 +40,11 @@ class SettingsLine:
         """Return the settings at a place."""
         config = self._config
         for path, values in self._values.items():
-            config = _with(config, path.split("."), value_at(values, place))
+            config = _with(config, path.split("."), interpolated(values, place))
         return config
 
 
-def value_at(values: list[Any], place: float) -> Any:
+def interpolated(values: list[Any], place: float) -> Any:
     """Interpolate the values of the points 0, 1, 2 at a place on the line."""
     if None in values:
         return values[min(max(math.ceil(place), 0), len(values) - 1)]
@@ -53,10 +54,6 @@ def value_at(values: list[Any], place: float) -> Any:
     low, high = values[first], values[first + 1]
     between = low * (high / low) ** (place - first)
     return max(1, round(between)) if isinstance(low, int) else between
-
-
-def _value(config: Config, path: str) -> Any:
-    return reduce(getattr, path.split("."), config)
 
 
 def _with(node: Any, path: list[str], value: Any) -> Any:

@@ -15,10 +15,11 @@ import numpy as np
 from mgsr.config.expert import BrightnessOptions
 from mgsr.data.images import linear_to_srgb, srgb_to_linear, to_uint8
 from mgsr.data.pixels import PixelStore
+from mgsr.data.robust import robust_deviation
 from mgsr.data.scene import Exposures, Scene, View
 
 
-def evened(scene: Scene, exposures: Exposures) -> Scene:
+def with_exposures(scene: Scene, exposures: Exposures) -> Scene:
     """Return the scene with its photographs at the common exposure.
 
     Images beyond the limit of `PixelStore` lie in files, as they do when read.
@@ -72,7 +73,7 @@ def robust_jump(offsets: np.ndarray, options: BrightnessOptions = BrightnessOpti
     """Return the robust standard deviation of a photograph's log light, from the result [V] of `brightness_offsets`."""
     # Convert the median difference between one value and the mean of equally varying neighbours to a standard
     # deviation.
-    usual = 1.4826 * float(np.median(np.abs(offsets - np.median(offsets))))
+    usual = robust_deviation(offsets - np.median(offsets))
     return usual / float(np.sqrt(1 + 1 / min(options.neighbours, len(offsets))))
 
 

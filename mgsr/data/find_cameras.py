@@ -86,7 +86,7 @@ def with_cameras(
             raise no_cameras_in(folder.path, found.given)
         require_pycolmap()
         try:
-            state = _searched(task, state or _begun(folder, photographs, settings), search)
+            state = _searched(task, state or _new_search(folder, photographs, settings), search)
         except (SceneError, ConfigError):
             folder.clear()
             raise
@@ -109,7 +109,7 @@ def _files_of(found: FoundScene) -> list[Path]:
     return videos_below(root) if found.is_video else find_photos(root, found.given)
 
 
-def _begun(folder: CameraFolder, photographs: str, settings: str) -> SearchState:
+def _new_search(folder: CameraFolder, photographs: str, settings: str) -> SearchState:
     """Clear the folder and return the state of a search that begins."""
     folder.clear()
     state = SearchState(photographs, settings)

@@ -124,14 +124,14 @@ class DatabaseKeeper:
 
     def keep(self) -> None:
         """Copy the database."""
-        begun = time.monotonic()
+        started_at = time.monotonic()
         if not self._database.exists():
             return
         partial = self._copy.with_name(f".partial.{self._copy.name}")
         shutil.copyfile(self._database, partial)
         os.replace(partial, self._copy)
         now = time.monotonic()
-        self._due = now + max(_KEEP_EVERY, _KEEP_SHARE * (now - begun))
+        self._due = now + max(_KEEP_EVERY, _KEEP_SHARE * (now - started_at))
 
 
 def key_of(files: Sequence[Path], folder: Path) -> str:

@@ -48,7 +48,7 @@ class Hull:
 
 
 def carve(
-    outlines: Sequence[Silhouette], center: np.ndarray, half: float, resolution: int = 128, dissent: int = 0
+    silhouettes: Sequence[Silhouette], center: np.ndarray, half: float, resolution: int = 128, dissent: int = 0
 ) -> Hull:
     """Carve the hull inside the cube center [3] +- half, from coarse to fine: only voxels near the surface are split.
 
@@ -63,7 +63,7 @@ def carve(
     field = np.empty((size,) * 3, dtype=np.float32)
     while True:
         voxel = 2 * half / size
-        values, judged = signed_field(outlines, corner + (active + 0.5) * voxel, dissent)
+        values, judged = signed_field(silhouettes, corner + (active + 0.5) * voxel, dissent)
         field[tuple(active.T)] = np.where(judged, values, -voxel)
         if size == resolution:
             return Hull(field, corner + voxel / 2, voxel)
@@ -99,18 +99,20 @@ def hull_surface(hull: Hull) -> tuple[np.ndarray, np.ndarray]:
     return (vertices - 1) * hull.voxel + hull.origin, faces
 
 
-def signed_field(outlines: Sequence[Silhouette], points: np.ndarray, dissent: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def signed_field(
+    silhouettes: Sequence[Silhouette], points: np.ndarray, dissent: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
     """Return each point's smallest signed distance [P] float32, in world units, over the views that constrain it.
 
     dissent: the number of smaller distances that are passed over. Also returns whether enough views constrain the
     point, [P] bool; where they don't, it counts as outside.
     """
     lowest = np.full((dissent + 1, len(points)), np.inf, dtype=np.float32)  # sorted, the least first
-    told = np.zeros(len(points), dtype=np.int32)
-    for tells, distance in map_ahead(lambda outline: view_field(outline, points), outlines, None):
-        told += tells
-        keep_lowest(lowest, np.where(tells, distance, np.inf).astype(np.float32))
-    return lowest[dissent], told >= max(2 + dissent, MIN_SEEN * len(outlines))
+    count = np.zeros(len(points), dtype=np.int32)
+    for constrained, distance in map_ahead(lambda silhouette: view_field(silhouette, points), silhouettes, None):
+        count += constrained
+        keep_lowest(lowest, np.where(constrained, distance, np.inf).astype(np.float32))
+    return lowest[dissent], count >= max(2 + dissent, MIN_SEEN * len(silhouettes))
 
 
 def keep_lowest(lowest: np.ndarray, values: np.ndarray) -> None:
@@ -121,26 +123,26 @@ def keep_lowest(lowest: np.ndarray, values: np.ndarray) -> None:
         values = larger
 
 
-def view_field(outline: Silhouette, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def view_field(silhouette: Silhouette, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return whether a view constrains each point [P], and the signed distance [P] there, in world units.
 
     A view constrains the points that it sees. A view that shows the object whole constrains all others too, as outside.
     """
-    camera = outline.camera
+    camera = silhouette.camera
     pixels, depth = camera.project(points)
     x, y = pixels.T
-    tells = (depth > 0) & (x > 0) & (x < camera.width) & (y > 0) & (y < camera.height)
+    constrained = (depth > 0) & (x > 0) & (x < camera.width) & (y > 0) & (y < camera.height)
     place = [y - 0.5, x - 0.5]
-    distance = ndimage.map_coordinates(outline.distance, place, order=1, mode="nearest", output=np.float32)
+    distance = ndimage.map_coordinates(silhouette.distance, place, order=1, mode="nearest", output=np.float32)
     distance *= depth / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
-    if outline.whole:
-        outside = ~tells
+    if silhouette.whole:
+        outside = ~constrained
         distance[outside] = np.minimum(distance[outside], 0)  # behind the camera it has the wrong sign
         distance[outside] -= _beyond(camera, points[outside], pixels[outside], depth[outside])
-        return np.ones_like(tells), distance
-    if outline.valid_mask is not None:
-        tells[tells] = valid_at(outline.valid_mask, pixels[tells])
-    return tells, distance
+        return np.ones_like(constrained), distance
+    if silhouette.valid_mask is not None:
+        constrained[constrained] = valid_at(silhouette.valid_mask, pixels[constrained])
+    return constrained, distance
 
 
 def _beyond(camera: Camera, points: np.ndarray, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:

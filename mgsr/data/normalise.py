@@ -19,13 +19,13 @@ from mgsr.errors import SceneError
 def normalisation(
     views: Sequence[View],
     points: PointCloud | None,
-    outlines: Sequence[Silhouette],
+    silhouettes: Sequence[Silhouette],
     options: NormalisationOptions = NormalisationOptions(),
 ) -> Similarity:
     """Return the similarity that maps the unit ball to a ball around the object, from training views in the user's
     frame.
 
-    outlines: the views' silhouettes of `options.contour_side` pixels, from masks that are not empty; none without
+    silhouettes: the views' silhouettes of `options.contour_side` pixels, from masks that are not empty; none without
     masks. With masks, the ball is the smallest around the visual hull. Without masks, it lies around the cameras'
     common focus, which most of them have in view; it is then moved and shrunk to the densest points. Cameras that look
     in one direction have no such focus. Their ball holds nine tenths of the points, or else the region that they see in
@@ -35,8 +35,8 @@ def normalisation(
     centers = np.array([camera.center for camera in cameras])
     if np.ptp(centers, axis=0).max() <= 1e-9 * max(1.0, np.abs(centers).max()):
         raise SceneError("all cameras have the same position; take photographs from different positions")
-    if outlines:
-        return Similarity(*_swapped(_masked_ball(views, outlines, options)))
+    if silhouettes:
+        return Similarity(*_swapped(_masked_ball(views, silhouettes, options)))
     return Similarity(*_swapped(unmasked_ball([whole_part(view).camera for view in views], points, options)))
 
 
@@ -76,7 +76,7 @@ def smallest_ball(points: np.ndarray, steps: int = 2000) -> tuple[np.ndarray, fl
 
 
 def _masked_ball(
-    views: Sequence[View], outlines: Sequence[Silhouette], options: NormalisationOptions
+    views: Sequence[View], silhouettes: Sequence[Silhouette], options: NormalisationOptions
 ) -> tuple[np.ndarray, float]:
     """Return the centre [3] and radius of the smallest ball around the masks' visual hull.
 
@@ -86,7 +86,7 @@ def _masked_ball(
     radius = float(radii.max())
     for _ in range(8):
         half = options.margin * radius
-        hull = carve(outlines, center, half, options.resolution)
+        hull = carve(silhouettes, center, half, options.resolution)
         if not (hull.field > 0).any():
             raise SceneError(
                 "the masks of the training views have no common visual hull; check that they are white on the object "

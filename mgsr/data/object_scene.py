@@ -11,7 +11,7 @@ import numpy as np
 from mgsr.data.normalise import normalisation
 from mgsr.data.odd_masks import agreeing_masks
 from mgsr.data.scene import PointCloud, Scene, View
-from mgsr.data.silhouettes import silhouettes
+from mgsr.data.silhouettes import view_silhouettes
 
 
 def with_object(
@@ -29,10 +29,10 @@ def with_object(
         [replace(view, camera=old.camera_to_user(view.camera)) for view in _masked(part, masks)]
         for part, masks in ((scene.train, train), (scene.test, test))
     )
-    outlines = silhouettes(views, options.normalisation.contour_side)
-    agreeing, odd = agreeing_masks(views, outlines, options.odd_masks)
+    silhouettes = view_silhouettes(views, options.normalisation.contour_side)
+    agreeing, odd = agreeing_masks(views, silhouettes, options.odd_masks)
     views = list(compress(views, agreeing))
-    frame = normalisation(views, None, list(compress(outlines, agreeing)), options.normalisation)
+    frame = normalisation(views, None, list(compress(silhouettes, agreeing)), options.normalisation)
     points = scene.points
     if points is not None:
         points = PointCloud(frame.to_scene(old.to_user(points.positions)), points.colors)

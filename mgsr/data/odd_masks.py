@@ -17,17 +17,17 @@ from mgsr.parallel import map_ahead
 
 
 def agreeing_masks(
-    views: Sequence[View], outlines: Sequence[Silhouette], options: OddMaskOptions = OddMaskOptions()
+    views: Sequence[View], silhouettes: Sequence[Silhouette], options: OddMaskOptions = OddMaskOptions()
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return which views to keep, [V] bool, and a note on the others.
 
     The few views to leave out have masks that exclude points inside nearly all other masks. views: in the user's
-    frame. outlines: their silhouettes, of masks that are not empty; none without masks.
+    frame. silhouettes: their silhouettes, of masks that are not empty; none without masks.
     """
     agreeing = np.ones(len(views), dtype=bool)
-    if len(outlines) < options.min_views:
+    if len(silhouettes) < options.min_views:
         return agreeing, ()
-    odd = left_out_shares(views, outlines, options.left_out, options) > options.left_out
+    odd = left_out_shares(views, silhouettes, options.left_out, options) > options.left_out
     if not 0 < odd.sum() <= options.max_odd * len(views):
         return agreeing, ()
     names = ", ".join(repr(view.name) for view in compress(views, odd))
@@ -36,24 +36,24 @@ def agreeing_masks(
 
 
 def left_out_shares(
-    views: Sequence[View], outlines: Sequence[Silhouette], least: float, options: OddMaskOptions = OddMaskOptions()
+    views: Sequence[View], silhouettes: Sequence[Silhouette], least: float, options: OddMaskOptions = OddMaskOptions()
 ) -> np.ndarray:
     """Return the share of the object, as nearly all masks have it, that each view's mask leaves out, [V].
 
     A view that looks along a thin part, such as a plate, is the only one that shows how thin it is. Its mask leaves out
     much, but the other masks are as full without that. A share above `least` counts as 0 if the others need none of it.
 
-    views: with masks that are not empty; outlines: their silhouettes.
+    views: with masks that are not empty; silhouettes: their silhouettes.
     """
     points, spacing = _grid(views, options.places)
-    left_out = _left_out(points, outlines)
+    left_out = _left_out(points, silhouettes)
     votes = left_out.sum(axis=0)
     objects = votes <= max(votes.min(), 1, options.dissent * len(views))
     shares = left_out[:, objects].mean(axis=1)
     much = np.flatnonzero(shares > least).tolist()
     if much:
         # A part that is thinner than the spacing may have no point inside.
-        wider = _left_out(points[objects], [outlines[index] for index in much], spacing / 2)
+        wider = _left_out(points[objects], [silhouettes[index] for index in much], spacing / 2)
         cells = [_cells(view, points[objects], spacing) for view in views]
         for index, wide in zip(much, wider, strict=True):
             if _needed(wide, cells[:index] + cells[index + 1 :]) < options.needed:
@@ -69,10 +69,10 @@ def _grid(views: Sequence[View], side: int) -> tuple[np.ndarray, float]:
     return points, float(axis[1] - axis[0])
 
 
-def _left_out(points: np.ndarray, outlines: Sequence[Silhouette], far: float = 0.0) -> np.ndarray:
+def _left_out(points: np.ndarray, silhouettes: Sequence[Silhouette], far: float = 0.0) -> np.ndarray:
     """Return which points [P,3] each view has farther than `far` outside its mask, [V,P] bool."""
-    fields = map_ahead(lambda outline: view_field(outline, points), outlines, None)
-    return np.array([tells & (distance < -far) for tells, distance in fields])
+    fields = map_ahead(lambda silhouette: view_field(silhouette, points), silhouettes, None)
+    return np.array([constrained & (distance < -far) for constrained, distance in fields])
 
 
 def _cells(view: View, points: np.ndarray, spacing: float) -> np.ndarray:

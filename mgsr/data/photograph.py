@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from mgsr.config.expert import ObservationOptions
 from mgsr.data.camera import Camera
 from mgsr.data.images import srgb_to_linear
 from mgsr.data.scene import View
@@ -21,8 +22,8 @@ class Photograph:
     """
 
     view: View
-    min_alpha: float = 0.97  # least alpha of a pixel; those below mix object and background
-    clipped: float = 0.98  # largest value of a pixel's brightest channel; those above are clipped
+    min_alpha: float = ObservationOptions().min_alpha  # these two: see ObservationOptions
+    clipped: float = ObservationOptions().clipped
 
     @property
     def camera(self) -> Camera:

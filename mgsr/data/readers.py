@@ -29,7 +29,7 @@ from mgsr.data.photo_files import SceneFolder
 from mgsr.data.scene import PointCloud, Scene, Similarity, View
 from mgsr.data.settle_masks import SettledViews, settle_masks
 from mgsr.data.sharpness import without_blurred
-from mgsr.data.silhouettes import silhouettes
+from mgsr.data.silhouettes import view_silhouettes
 from mgsr.data.usable import usable_photos
 from mgsr.errors import ConfigError, SceneError
 
@@ -96,22 +96,22 @@ def load_capture(
     if len(train) < 2:
         raise SceneError(f"{path.name}: expected at least 2 training views, got {len(train)}; use 20 or more")
     views = _load(train, test, config, progress, options)
-    outlines = silhouettes(views.train, options.normalisation.contour_side)
-    agreeing, odd = agreeing_masks(views.train, outlines, options.odd_masks)
+    silhouettes = view_silhouettes(views.train, options.normalisation.contour_side)
+    agreeing, odd = agreeing_masks(views.train, silhouettes, options.odd_masks)
     train_views = list(compress(views.train, agreeing))
     # Ignored regions still lie within the view.
     in_view = (
-        [replace(view, valid_mask=None) for view in train_views] if views.ignoring and not outlines else train_views
+        [replace(view, valid_mask=None) for view in train_views] if views.ignoring and not silhouettes else train_views
     )
-    frame = normalisation(in_view, capture.points, list(compress(outlines, agreeing)), options.normalisation)
-    if outlines and views.use is MaskUse.OBJECT and config.masks is Masks.AUTO:
+    frame = normalisation(in_view, capture.points, list(compress(silhouettes, agreeing)), options.normalisation)
+    if silhouettes and views.use is MaskUse.OBJECT and config.masks is Masks.AUTO:
         masks = [view.alpha for view in train_views if view.alpha is not None]
         require_plausible_ball(frame.scale, masks, [view.camera for view in train_views], options.mask_use)
     place, no_place = read_object_place(found.folder) if config.object is Object.AUTO else (None, ())
     ground = None
-    if place is not None and place.ground is not None and outlines:
+    if place is not None and place.ground is not None and silhouettes:
         ground = frame.inverse.plane_to_user(place.ground)
-    few = note_of_few_views(train_views, frame.offset, bool(outlines), options.view_count)
+    few = note_of_few_views(train_views, frame.offset, bool(silhouettes), options.view_count)
     assert found.kind is not None
     return Scene(
         name=_stem(path) if path.is_file() else found.name,
@@ -128,7 +128,7 @@ def load_capture(
         read_with=config,
         options=options,
         ground=ground,
-        mask_dissent=0 if place is None or not outlines else int(options.mask_dissent * len(train_views)),
+        mask_dissent=0 if place is None or not silhouettes else int(options.mask_dissent * len(train_views)),
         object_place=place,
     )
 

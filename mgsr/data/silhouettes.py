@@ -40,7 +40,7 @@ class Silhouette:
         return bool(inside.any() and to_border[inside].min() > FREE_BORDER * max(inside.shape))
 
 
-def silhouettes(views: Sequence[View], max_side: int) -> list[Silhouette]:
+def view_silhouettes(views: Sequence[View], max_side: int) -> list[Silhouette]:
     """Return the masks of the views that have one, reduced to images of at most `max_side`."""
     masked = [(view, view.alpha) for view in views if view.alpha is not None]
     return list(map_ahead(lambda item: _silhouette(*item, max_side), masked, None))

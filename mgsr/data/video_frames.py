@@ -69,7 +69,7 @@ def choose_frames(
     path [F]: the motion up to each frame, which never falls; sharpness [F]; most: frames at most.
     """
     whole = float(path[-1] - path[0]) if len(path) else 0.0
-    step = max(min(options.step, whole / options.wanted), options.min_step, whole / most)
+    step = max(min(options.step, whole / options.min_frames), options.min_step, whole / most)
     count = int(whole / step + 1e-9)
     if count == 0:
         return []
@@ -138,8 +138,8 @@ class _Follower:
     def __init__(self, options: FrameOptions) -> None:
         self._options = options
         self._before: Any = None
-        self._begun: Any = np.zeros((0, 1, 2), np.float32)
-        self._places: Any = self._begun
+        self._first_places: Any = np.zeros((0, 1, 2), np.float32)
+        self._places: Any = self._first_places
         self._found = 0
         self._path = 0.0
 
@@ -162,10 +162,10 @@ class _Follower:
             return 0.0
         places, there, _ = cv2.calcOpticalFlowPyrLK(self._before, grey, self._places, np.empty_like(self._places))
         kept = there.ravel() == 1
-        self._places, self._begun = places[kept], self._begun[kept]
+        self._places, self._first_places = places[kept], self._first_places[kept]
         if not kept.any():
             return 0.0
-        apart = np.linalg.norm(self._places - self._begun, axis=2)
+        apart = np.linalg.norm(self._places - self._first_places, axis=2)
         return float(np.quantile(apart, self._options.quantile) / np.hypot(*grey.shape))
 
     def _find(self, grey: np.ndarray) -> None:
@@ -173,7 +173,7 @@ class _Follower:
         import cv2
 
         corners = cv2.goodFeaturesToTrack(grey, self._options.features, 0.01, 7)
-        self._begun = self._places = np.zeros((0, 1, 2), np.float32) if corners is None else corners
+        self._first_places = self._places = np.zeros((0, 1, 2), np.float32) if corners is None else corners
         self._found = len(self._places)
 
 

@@ -27,7 +27,6 @@ class Adaptation:
     added: Parameters
     cloned: int
     split: int
-    pruned: int
 
 
 def adapt(
@@ -47,7 +46,6 @@ def adapt(
     parameters = {name: tensor.detach() for name, tensor in parameters.items()}
     longest = parameters["log_scales"].amax(dim=1).exp()
     keep = visible_enough(parameters, config.prune_opacity) & (longest <= config.prune_above * extent)
-    pruned = int((~keep).sum())
     nothing = keep.new_zeros(keep.shape)
     hot = _hottest(state.mean_gradients(), keep, config) if grow else nothing
     large = longest > config.split_above * extent
@@ -59,7 +57,6 @@ def adapt(
         added={name: torch.cat([copies[name], halves[name]]) for name in parameters},
         cloned=int(clone.sum()),
         split=int(split.sum()),
-        pruned=pruned,
     )
 
 

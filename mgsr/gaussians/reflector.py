@@ -16,7 +16,7 @@ from torch import Tensor
 from mgsr.data.camera import Camera
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import PixelHits
-from mgsr.geometry.triangles import unit_vectors
+from mgsr.geometry.triangles import reflect, unit_vectors
 
 KEPT = 256 * 2**20  # size of the cache of camera views, bytes
 GAP = 0.005  # of the mesh's longest side, at most
@@ -91,11 +91,11 @@ class Reflector:
         points, normals, eye [P,3]: places, unit normals and unit directions to the eye. Returns the indices [Q] of
         these points, and the unit vectors [Q,3] halfway between the eye and the direction of the second bounce.
         """
-        first = _environment_map(eye, normals)
+        first = reflect(eye, normals)
         hits = self.mesh.caster.cast_rays(points + self._gap * normals, first)
         bounced = np.flatnonzero(hits.mask)
         _, there = self._at(hits)
-        return bounced, unit_vectors(eye[bounced] + _environment_map(-first[bounced], there))
+        return bounced, unit_vectors(eye[bounced] + reflect(-first[bounced], there))
 
     def _at(self, hits: PixelHits) -> tuple[np.ndarray, np.ndarray]:
         """Return the places [P,3] and unit normals [P,3] where rays meet the surface."""
@@ -103,8 +103,3 @@ class Reflector:
         values = self.mesh.vertices, self.mesh.double_normals
         place, normal = (np.einsum("pk,pki->pi", shares, each[corners]) for each in values)
         return place, unit_vectors(normal)
-
-
-def _environment_map(towards: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Reflect the unit directions `towards` [P,3] about the unit normals [P,3]."""
-    return np.asarray(2 * (towards * normals).sum(axis=1, keepdims=True) * normals - towards)

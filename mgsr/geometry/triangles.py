@@ -30,6 +30,11 @@ def unit_vectors(vectors: np.ndarray) -> np.ndarray:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))
 
 
+def reflect(directions: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return directions [P,3], which point away from a surface with unit normals [P,3], reflected about the normals."""
+    return np.asarray(2 * (directions * normals).sum(axis=1, keepdims=True) * normals - directions)
+
+
 def tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two unit vectors [V,3] that are perpendicular to the unit normals [V,3] and to each other.
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from mgsr.config.expert import BrightnessOptions, InspectionConfig
 from mgsr.data.exposure import brightness_offsets, robust_jump
+from mgsr.data.robust import robust_deviation
 from mgsr.data.scene import View
 from mgsr.inspection.features import Features
 from mgsr.inspection.findings import Code, Finding, Severity, pick
@@ -32,15 +33,17 @@ def check_exposures(
     if len(views) < 6:
         return []
     halves = light_of_halves(features, pairs, options)
-    told = np.isfinite(halves).all(axis=1)
-    spread = _common_spread(halves[told], limits.common) if told.sum() >= max(6, limits.told * len(views)) else 0.0
+    known = np.isfinite(halves).all(axis=1)
+    spread = (
+        _common_spread(halves[known], limits.common) if known.sum() >= max(6, limits.min_known * len(views)) else 0.0
+    )
     by_mean = brightness_offsets(views, brightness)
-    offsets = np.where(told, _shared_part(halves), by_mean - np.median(by_mean))
-    usual = np.where(told, spread, robust_jump(by_mean, brightness))
+    offsets = np.where(known, _shared_part(halves), by_mean - np.median(by_mean))
+    usual = np.where(known, spread, robust_jump(by_mean, brightness))
     odd = np.flatnonzero(np.abs(offsets) > np.maximum(np.log(limits.outlier), 5 * usual))
     if spread < limits.jumps and not len(odd):
         return []
-    largest = float(np.abs(offsets[told | np.isin(np.arange(len(views)), odd)]).max())
+    largest = float(np.abs(offsets[known | np.isin(np.arange(len(views)), odd)]).max())
     return [
         Finding(
             Code.EXPOSURE_JUMPS,
@@ -103,7 +106,7 @@ def _common_spread(halves: np.ndarray, least: float) -> float:
 
 def _squared_deviation(values: np.ndarray) -> float:
     """Return the square of the robust standard deviation of values [V], from their median absolute deviation."""
-    return (1.4826 * float(np.median(np.abs(values - np.median(values))))) ** 2
+    return robust_deviation(values - np.median(values)) ** 2
 
 
 def _shared_part(halves: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from mgsr.config.expert import OddMaskOptions, PhotoCheckOptions, SharpnessOptio
 from mgsr.data.odd_masks import left_out_shares
 from mgsr.data.scene import Scene, View
 from mgsr.data.sharpness import lost_sharpness
-from mgsr.data.silhouettes import silhouettes
+from mgsr.data.silhouettes import view_silhouettes
 from mgsr.inspection.findings import Code, Finding, Severity, pick
 
 
@@ -74,9 +74,9 @@ def check_masks(
     odd_masks: OddMaskOptions = OddMaskOptions(),
 ) -> list[Finding]:
     """Return findings on masks that cut the object off, or that contradict the others; the views need masks."""
-    outlines = silhouettes(views, options.contour_side)
+    silhouettes = view_silhouettes(views, options.contour_side)
     found = []
-    cut = np.array([not outline.whole for outline in outlines])
+    cut = np.array([not silhouette.whole for silhouette in silhouettes])
     if cut.mean() >= options.cut_off:
         found.append(
             Finding(
@@ -91,7 +91,7 @@ def check_masks(
         )
     if len(views) < odd_masks.min_views:
         return found
-    shares = left_out_shares(views, outlines, options.left_out, odd_masks)
+    shares = left_out_shares(views, silhouettes, options.left_out, odd_masks)
     odd = np.flatnonzero(shares > options.left_out)
     if len(odd):
         found.append(

@@ -184,15 +184,15 @@ def _less_exact(
 def _inaccurate(pairs: Sequence[Pair], count: int, options: InspectionConfig) -> list[Finding]:
     """Return a finding where the cameras of so many photographs are not wrong, but less exact than usual."""
     least = options.pairs.min_matches
-    told = sum(pair.own.sum() >= least for pair in pairs)
+    matched = sum(pair.own.sum() >= least for pair in pairs)
     middle = usual_residual(pairs, least)
-    if told < max(5, count / 2) or middle < options.poses.inaccurate:
+    if matched < max(5, count / 2) or middle < options.poses.inaccurate:
         return []
     return [
         Finding(
             Code.INACCURATE_POSES,
             Severity.WARNING,
-            f"the cameras fit the photographs to {middle:.1f} px only, in the median of {told} pairs",
+            f"the cameras fit the photographs to {middle:.1f} px only, in the median of {matched} pairs",
             round(middle, 2),
             "px",
             f"{_ANEW}; 0.5 px or better is usual",
@@ -225,13 +225,13 @@ def _separate(names: Sequence[str], groups: PoseGroups, features: Sequence[int],
 def check_movement(pairs: Sequence[Pair], options: InspectionConfig = InspectionConfig()) -> list[Finding]:
     """Return a finding where a part of the photographs does not move with the cameras."""
     least = options.pairs.min_matches
-    told = [pair for pair in pairs if len(pair.matches) >= least]
-    if len(told) < 5:
+    matched = [pair for pair in pairs if len(pair.matches) >= least]
+    if len(matched) < 5:
         return []
-    still = np.array([pair.still.sum() for pair in told])
-    moved = np.array([pair.moved for pair in told])
-    counts = np.array([len(pair.matches) for pair in told])
-    share = float(((still + moved) / counts)[(still + moved) >= least // 2].sum() / len(told))
+    still = np.array([pair.still.sum() for pair in matched])
+    moved = np.array([pair.moved for pair in matched])
+    counts = np.array([len(pair.matches) for pair in matched])
+    share = float(((still + moved) / counts)[(still + moved) >= least // 2].sum() / len(matched))
     if share < options.poses.moving:
         return []
     cause = "stands still in the image (a turntable?)" if still.sum() > moved.sum() else "moves by itself"

@@ -13,7 +13,7 @@ from mgsr.config.expert import InspectionConfig
 from mgsr.data.camera import Camera
 from mgsr.inspection.features import Features
 from mgsr.inspection.pairs import Pair
-from mgsr.inspection.triangulation import nearest_points, pixel_rays
+from mgsr.inspection.triangulation import nearest_points, unit_rays
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,6 @@ def find_tracks(
     rays, origins = np.empty((len(used), 3)), np.array([camera.center for camera in cameras])[photo[used]]
     for index, camera in enumerate(cameras):
         mine = photo[used] == index
-        rays[mine] = pixel_rays(camera, pixels[mine])
+        rays[mine] = unit_rays(camera, pixels[mine])
     points = nearest_points(origins, rays, of_point, len(names))
     return Tracks(points, of_point, photo[used], pixels)

@@ -9,7 +9,7 @@ import numpy as np
 from mgsr.data.camera import Camera
 
 
-def pixel_rays(camera: Camera, pixels: np.ndarray) -> np.ndarray:
+def unit_rays(camera: Camera, pixels: np.ndarray) -> np.ndarray:
     """Return the unit directions [N,3] in the world of a camera's pixels [N,2]."""
     local = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(camera.K).T
     rays = local @ camera.cam_from_world[:3, :3]
@@ -35,7 +35,7 @@ def spread(cameras: Sequence[Camera], pixels: Sequence[np.ndarray]) -> float:
     It is the median distance, pixels, of the triangulated points from the pixels in the photograph that they fit worst.
     """
     count = len(pixels[0])
-    rays = np.concatenate([pixel_rays(*pair) for pair in zip(cameras, pixels, strict=True)])
+    rays = np.concatenate([unit_rays(*pair) for pair in zip(cameras, pixels, strict=True)])
     origins = np.repeat([camera.center for camera in cameras], count, axis=0)
     points = nearest_points(origins, rays, np.tile(np.arange(count), len(cameras)), count)
     off = [camera.project(points)[0] - places for camera, places in zip(cameras, pixels, strict=True)]

@@ -46,8 +46,8 @@ class Judged:
 
 def usual_residual(pairs: Sequence[Pair], min_matches: int = PairOptions().min_matches) -> float:
     """Return the median residual of the pairs with enough matches, pixels of the images of the features; 0 without."""
-    told = [pair.residual for pair in pairs if pair.own.sum() >= min_matches]
-    return float(np.median(told)) if told else 0.0
+    residuals = [pair.residual for pair in pairs if pair.own.sum() >= min_matches]
+    return float(np.median(residuals)) if residuals else 0.0
 
 
 def pairs_by_photo(pairs: Sequence[Pair], count: int, min_matches: int) -> list[list[Pair]]:

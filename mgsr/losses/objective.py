@@ -134,7 +134,7 @@ def environment_map_terms(maps: Tensor, gaussians: GaussianModel, config: TrainC
     return terms
 
 
-def silhouette(alpha: Tensor, mask: Tensor, kind: AlphaLoss, where: Tensor | None = None) -> Term:
+def silhouette_loss(alpha: Tensor, mask: Tensor, kind: AlphaLoss, where: Tensor | None = None) -> Term:
     """Return the silhouette loss of the rendered alpha [H,W] against the photograph's mask [H,W], both 0..1.
 
     kind: the mean absolute difference or the cross entropy. where [H,W]: weights of the pixels, all 1 by default (the
@@ -197,4 +197,4 @@ def _silhouette(
     if target.alpha is None or not weight:
         return {}
     alpha, mask = target.compared(alpha, target.alpha)
-    return {f"{branch}.alpha": weight * silhouette(alpha, mask, config.paper.alpha_loss, where)}
+    return {f"{branch}.alpha": weight * silhouette_loss(alpha, mask, config.paper.alpha_loss, where)}

@@ -29,16 +29,16 @@ class Target:
     off_edge_sum: float | None = None  # over all pixels, beside off_edge; None where nobody knows it
     invalid: Tensor | None = None
 
-    def compared(self, rendered: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
+    def compared(self, rendered: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         """Return a rendering [H,W,...] and its target with the same values at invalid pixels, for a loss.
 
         At invalid pixels both are the rendering, and no gradient flows. So such pixels cost nothing, and windows that
         reach over them see no difference there.
         """
         if self.invalid is None:
-            return rendered, wanted
+            return rendered, target
         still = rendered.detach().flatten(0, 1).index_select(0, self.invalid)
-        alike = (image.flatten(0, 1).index_copy(0, self.invalid, still).view_as(image) for image in (rendered, wanted))
+        alike = (image.flatten(0, 1).index_copy(0, self.invalid, still).view_as(image) for image in (rendered, target))
         return next(alike), next(alike)
 
     def valid_weights(self, weights: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from mgsr.config.expert import ColorOptions, TextureOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster, RayHits
 from mgsr.geometry.triangles import unit_vectors
-from mgsr.mesh.colors import seen_colors
+from mgsr.mesh.colors import blended_colors
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.mesh.unwrap import UnwrappedMesh
 from mgsr.mesh.views import SurfaceView
@@ -84,7 +84,7 @@ def bake_colors(
 ) -> np.ndarray:
     """Return the texels' colours [T,3] float32 sRGB 0..1.
 
-    Each blends the views that see its place, as in `seen_colors`, but visibility comes from ray casting the full
+    Each blends the views that see its place, as in `blended_colors`, but visibility comes from ray casting the full
     surface, and pixels at occlusion edges do not count. A texel that no view sees takes the vertices' colours.
     """
     visible = [_with_depth_of(full.caster, view, options.occlusion_edge) for view in views]
@@ -92,7 +92,9 @@ def bake_colors(
     painted = np.zeros((len(texels.index), 3), np.float32)
     for part in texels.parts():
         points = texels.points[part]
-        colors, seen = seen_colors(points, texels.normals[part], visible, config.min_alpha, tolerance, threads, options)
+        colors, seen = blended_colors(
+            points, texels.normals[part], visible, config.min_alpha, tolerance, threads, options
+        )
         face, shares = full.caster.nearest(points[~seen])
         colors[~seen] = interpolated(full.colors, full.faces[face], shares)
         painted[part] = colors

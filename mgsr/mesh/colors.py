@@ -23,18 +23,18 @@ def vertex_colors(
     threads: int | None = None,
     options: ColorOptions = ColorOptions(),
 ) -> np.ndarray:
-    """Return vertex colours [V,3] float32 sRGB 0..1 (`seen_colors`).
+    """Return vertex colours [V,3] float32 sRGB 0..1 (`blended_colors`).
 
     A vertex that no view shows takes the colour of the nearest visible vertex.
     """
     vertices = mesh.vertices
-    colors, seen = seen_colors(vertices, mesh.normals, views, min_alpha, tolerance, threads, options)
+    colors, seen = blended_colors(vertices, mesh.normals, views, min_alpha, tolerance, threads, options)
     if seen.any() and not seen.all():
         colors[~seen] = colors[seen][cKDTree(vertices[seen]).query(vertices[~seen])[1]]
     return colors
 
 
-def seen_colors(
+def blended_colors(
     points: np.ndarray,
     normals: np.ndarray,
     views: Sequence[SurfaceView],

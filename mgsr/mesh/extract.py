@@ -80,10 +80,10 @@ def take_steps(
     light, reports = LightEstimate(), {}
     for step in steps:
         if step.applies(context, light):
-            begun = perf_counter()
+            started_at = perf_counter()
             result = step.run(mesh, light, context)
             mesh, light = result.mesh, result.light
-            reports[step.name] = StepReport(round(perf_counter() - begun, 3), len(mesh.faces), result.outcome)
+            reports[step.name] = StepReport(round(perf_counter() - started_at, 3), len(mesh.faces), result.outcome)
     return mesh, light, reports
 
 

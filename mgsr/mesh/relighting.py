@@ -18,7 +18,7 @@ from mgsr.shading.ambient_occlusion import real_harmonics
 from mgsr.shading.environment_fit import cell_directions, sample_map
 from mgsr.shading.gloss import GgxLobe, mirrored_share
 from mgsr.shading.material import Material
-from mgsr.shading.observations import read_image
+from mgsr.shading.observations import sample_image
 
 DIELECTRIC = 0.04  # reflectance of glTF's dielectrics at normal incidence
 SAMPLES = 2  # along each side of a pixel
@@ -116,8 +116,8 @@ def studio_light(up: np.ndarray, front: np.ndarray, angle: float, height: int = 
     light = 0.1 + 0.1 * np.maximum(directions @ up, 0)
     for turn, elevation, cosine, radiance in SOFT_BOXES:
         around, above = np.radians(turn + angle), np.radians(elevation)
-        towards = np.cos(above) * (np.cos(around) * front + np.sin(around) * side) + np.sin(above) * up
-        light += radiance * np.clip((directions @ towards - cosine) / SOFT_EDGE + 0.5, 0, 1)
+        box_direction = np.cos(above) * (np.cos(around) * front + np.sin(around) * side) + np.sin(above) * up
+        light += radiance * np.clip((directions @ box_direction - cosine) / SOFT_EDGE + 0.5, 0, 1)
     return np.repeat(light[..., None], 3, axis=2).astype(np.float32)
 
 
@@ -131,4 +131,4 @@ def _read(picture: np.ndarray, uvs: np.ndarray) -> np.ndarray:
         picture = cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
     height, width = picture.shape[:2]
     layers = np.atleast_3d(picture).astype(np.float32) / 255
-    return np.stack([read_image(layers[..., each], uvs * (width, height)) for each in range(layers.shape[2])], axis=1)
+    return np.stack([sample_image(layers[..., each], uvs * (width, height)) for each in range(layers.shape[2])], axis=1)

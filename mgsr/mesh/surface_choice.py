@@ -40,7 +40,7 @@ def photographs_prefer_start(
     light, choice = expert.shading.light, expert.mesh.choice
     on_start, on_trained = (each.ratio for each in environment_residuals((start, trained), photos, light.environment))
     if on_start <= light.max_environment_ratio:
-        return on_start <= choice.mirror_share * on_trained
+        return on_start <= choice.max_start_residual * on_trained
     prepared = stereo_photographs(photos.views, expert.stereo.max_object_pixels)
     before, after = (photo_consistency(prepared, surface.caster, expert.stereo.match) for surface in (start, trained))
     return before > after + choice.min_gain

@@ -37,7 +37,7 @@ def texture_mesh(
 
     full, views: in one frame. pixel: the size of the photographs' pixels on the surface, in its unit, which a texel
     gets unless `output.texture` gives the number of texels. A metal's base colour is its tint; others blend the views'
-    colours, as in `seen_colors`. shaded: whether these colours contain the shading of static light, which is then
+    colours, as in `blended_colors`. shaded: whether these colours contain the shading of static light, which is then
     divided out, and the light's brightness with it where the material tells it. options: all of the mesh's.
     """
     own, static = options.texture, options.texture.static_light

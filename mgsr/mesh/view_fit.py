@@ -34,14 +34,14 @@ def fit_to_views(
     points = OrientedPoints(mesh.vertices.astype(np.float32), normals)
     agreed = compare_views(points, views, rules, tolerance, threads, options.confirm_reach).moved
     offsets = ((agreed.positions - mesh.vertices) * normals).sum(axis=1)
-    told = np.abs(offsets) > 0
-    alike = told & ((agreed.normals * normals).sum(axis=1) > fit.min_cosine)
+    confirmed = np.abs(offsets) > 0
+    alike = confirmed & ((agreed.normals * normals).sum(axis=1) > fit.min_cosine)
     moves = integrate_normals(
         mesh,
         np.where(alike[:, None], agreed.normals, normals),
         np.where(alike, 1, fit.confidence),
         1.0,
-        prior_weight=np.where(told, 1, fit.prior_weight),
-        prior=np.where(told, offsets, 0),
+        prior_weight=np.where(confirmed, 1, fit.prior_weight),
+        prior=np.where(confirmed, offsets, 0),
     )
     return mesh.moved(mesh.vertices + moves[:, None] * normals)

@@ -37,9 +37,9 @@ def psnr_after_gain(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> f
 
     The images are [H,W,3]; mask [H,W] bool.
     """
-    wanted, given = truth[mask].astype(np.float64), image[mask].astype(np.float64)
-    gain = (wanted * given).sum(0) / np.maximum((given**2).sum(0), 1e-9)
-    return decibels(float(((wanted - np.clip(given * gain, 0, 1)) ** 2).mean()))
+    target, given = truth[mask].astype(np.float64), image[mask].astype(np.float64)
+    gain = (target * given).sum(0) / np.maximum((given**2).sum(0), 1e-9)
+    return decibels(float(((target - np.clip(given * gain, 0, 1)) ** 2).mean()))
 
 
 def ssim(truth: np.ndarray, image: np.ndarray, valid: np.ndarray | None = None) -> float:
@@ -74,14 +74,14 @@ def image_metrics(
     None for all; others count in none of them.
     """
     truth, image = unit(truth), unit(image)
-    wanted, given = composited(truth, background), composited(image, background)
-    values = {"psnr": psnr(wanted, given, valid), "ssim": ssim(wanted, given, valid)}
+    target, given = composited(truth, background), composited(image, background)
+    values = {"psnr": psnr(target, given, valid), "ssim": ssim(target, given, valid)}
     if truth.shape[-1] == 3:
         return values
     inside = truth[..., 3] > 0.5 if valid is None else (truth[..., 3] > 0.5) & valid
     if inside.any():
-        values["psnr_fg"] = psnr(wanted, given, inside)
-        values["psnr_fg_gain"] = psnr_after_gain(wanted, given, inside)
+        values["psnr_fg"] = psnr(target, given, inside)
+        values["psnr_fg_gain"] = psnr_after_gain(target, given, inside)
     return values
 
 

@@ -15,7 +15,7 @@ from mgsr.native.cuda.launcher import launcher_for
 from mgsr.native.cuda.terms import Sums
 from mgsr.native.structs import DepthSurface
 from mgsr.ops.arrays import once_differentiable, plain
-from mgsr.ops.terms import Slope, Term, Total, wanted
+from mgsr.ops.terms import Slope, Term, Total, needs_gradient
 
 
 def depth_to_normals(depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | None = None) -> torch.Tensor:
@@ -49,7 +49,7 @@ def normal_agreement_term(
     Raises TensorError for wrong shapes or dtypes. Source: method, "Surface normal".
     """
     check_tensors(normals=(normals, "H W 3"), depth=(depth, "H W"), alpha=(alpha, "H W"), covered=(covered, "H W"))
-    of_normals, of_depth = wanted(normals, depth)
+    of_normals, of_depth = needs_gradient(normals, depth)
     along, lengths, counted = plain(normals), plain(alpha), plain(covered)
     surface = DepthSurface(depth=plain(depth), alpha=lengths, camera=camera)
     from_depth = torch.empty_like(along)

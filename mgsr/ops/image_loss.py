@@ -12,7 +12,7 @@ from mgsr.native.cuda.launcher import launcher_for
 from mgsr.native.cuda.terms import Sums
 from mgsr.native.structs import ImagePair
 from mgsr.ops.arrays import plain
-from mgsr.ops.terms import Slope, Term, Total, scalar, wanted
+from mgsr.ops.terms import Slope, Term, Total, needs_gradient, scalar
 
 Region = tuple[int, int, int, int]
 
@@ -80,7 +80,7 @@ def _differentiated(
     whole: Region,
 ) -> Term:
     launcher = launcher_for(image)
-    of_image, of_target = wanted(image, target)
+    of_image, of_target = needs_gradient(image, target)
     # On the processor slopes are whole images: zero where the kernel writes nothing.
     new = torch.empty if launcher is not None or region == whole else torch.zeros
     v_image = new(image.shape, device=image.device) if of_image or of_target else None

@@ -12,7 +12,7 @@ from mgsr.native.cuda.launcher import launcher_for
 from mgsr.native.cuda.terms import Region, Sums, TermKernels
 from mgsr.native.structs import CompositedImage, ImageInBytes, WeightedDifference
 from mgsr.ops.arrays import plain
-from mgsr.ops.terms import Slope, Term, Total, wanted
+from mgsr.ops.terms import Slope, Term, Total, needs_gradient
 
 LEAST = 1e-4  # of alpha, and of 1 - alpha, in a cross entropy
 
@@ -63,7 +63,7 @@ def silhouette_term(alpha: Tensor, mask: Tensor, weights: Tensor | None = None, 
     """
     check_tensors(alpha=(alpha, "H W"), mask=(mask, "H W"), weights=(weights, "? H W"))
     own, other, by = plain(alpha), plain(mask), None if weights is None else plain(weights)
-    v_alpha = torch.empty_like(own) if wanted(alpha)[0] else None
+    v_alpha = torch.empty_like(own) if needs_gradient(alpha)[0] else None
     launcher = launcher_for(own)
     if launcher is not None:
         sums = TermKernels(launcher).silhouette(own, other, by, entropy, v_alpha)
@@ -90,7 +90,7 @@ def squares_term(
 
     Raises TensorError for wrong dtypes or shapes.
     """
-    of_a, of_b = wanted(a)[0], b is not None and wanted(b)[0]
+    of_a, of_b = needs_gradient(a)[0], b is not None and needs_gradient(b)[0]
     shape = " ".join(str(size) for size in a.shape)
     optional = "? " + shape
     check_tensors(a=(a, shape), b=(b, optional), first=(weights[0], optional), second=(weights[1], optional))
@@ -124,7 +124,7 @@ def product_term(weight: Tensor, color: Tensor) -> Term:
     else:
         sums_of_color = torch.empty_like(factor)
         sums = TermKernels(launcher).product(factor, image, sums_of_color)
-    of_weight, of_color = wanted(weight, color)
+    of_weight, of_color = needs_gradient(weight, color)
     return Term(sums, (*[Slope(weight, sums_of_color)] * of_weight, *[Slope(color, factor)] * of_color))
 
 
@@ -143,7 +143,7 @@ def steps_term(maps: Tensor) -> Term:
     else:
         v_maps = torch.empty_like(values)
         sums = TermKernels(launcher).steps(values, by, v_maps)
-    return Term(sums, (Slope(maps, v_maps),) if wanted(maps)[0] else ())
+    return Term(sums, (Slope(maps, v_maps),) if needs_gradient(maps)[0] else ())
 
 
 def _absolute(alpha: Tensor, mask: Tensor) -> tuple[float, Tensor]:

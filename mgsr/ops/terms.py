@@ -60,7 +60,7 @@ class Term:
         return float(scalar(self))
 
 
-def wanted(*tensors: Tensor) -> list[bool]:
+def needs_gradient(*tensors: Tensor) -> list[bool]:
     """Return for each of the tensors whether it needs a gradient."""
     return [torch.is_grad_enabled() and tensor.requires_grad for tensor in tensors]
 

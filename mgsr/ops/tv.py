@@ -10,7 +10,7 @@ from mgsr.native.cuda.image import ImageKernels
 from mgsr.native.cuda.launcher import launcher_for
 from mgsr.native.cuda.terms import Sums
 from mgsr.ops.arrays import plain
-from mgsr.ops.terms import Slope, Term, Total, scalar, wanted
+from mgsr.ops.terms import Slope, Term, Total, needs_gradient, scalar
 
 
 def edge_aware_tv(values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor | None = None) -> torch.Tensor:
@@ -36,7 +36,7 @@ def edge_aware_tv_term(values: torch.Tensor, guide: torch.Tensor, mask: torch.Te
     shape = "H W" if values.ndim == 2 else "H W C"
     check_tensors(values=(values, shape), guide=(guide, "H W 3"), mask=(mask, "? H W"))
     launcher = launcher_for(values)
-    v_values = torch.empty(values.shape, device=values.device) if wanted(values)[0] else None
+    v_values = torch.empty(values.shape, device=values.device) if needs_gradient(values)[0] else None
     channels = plain(values).view(*values.shape[:2], -1)
     slopes = None if v_values is None else v_values.view(channels.shape)
     arguments = (channels, plain(guide), None if mask is None else plain(mask), slopes)

@@ -20,7 +20,7 @@ from mgsr.pipeline.progress import Event, EventCallback, ignore
 from mgsr.pipeline.result_paths import ESTIMATE
 from mgsr.pipeline.scene_check import CheckedScene
 from mgsr.pipeline.steps import StepClock, Steps, StopCheck, never
-from mgsr.pipeline.time_budget import facts_of
+from mgsr.pipeline.time_budget import cost_factors
 from mgsr.start.points import StartingPoints, StartSource
 from mgsr.training.probe import probe
 
@@ -77,16 +77,16 @@ def _duration(seconds: float) -> str:
 
 
 def _estimates(checked: CheckedScene, config: Config, device: Device, step: Steps) -> list[Estimate]:
-    scene, facts = checked.scene, facts_of(checked.scene, config)
+    scene, factors = checked.scene, cost_factors(checked.scene, config)
     with step("plan", "timing an iteration of each stage"):
         probed = probe(scene, _ball(config), config, device.torch)
-    reference = {name: iteration_cost(name, facts, probed.splats) for name in probed.seconds}
+    reference = {name: iteration_cost(name, factors, probed.splats) for name in probed.seconds}
     training = sum(probed.seconds.values()) / sum(reference.values())
     before: dict[str, float] = {name: step.clock.steps[name] for name in ("load", "check") if name in step.clock.steps}
-    rest = training if device is Device.CPU else before.get("load", load_cost(facts)) / load_cost(facts)
+    rest = training if device is Device.CPU else before.get("load", load_cost(factors)) / load_cost(factors)
     line = SettingsLine(config)
     estimates = [
-        estimate_run(preset, facts, line.at(float(place)), Speed(training, rest), before)
+        estimate_run(preset, factors, line.at(float(place)), Speed(training, rest), before)
         for place, preset in enumerate(PRESETS)
     ]
     for each in estimates:

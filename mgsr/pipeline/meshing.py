@@ -15,7 +15,7 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.mesh.texture import texture_mesh
-from mgsr.pipeline.rendering import outlined_scene, scene_silhouettes, surface_views
+from mgsr.pipeline.rendering import masked_scene, scene_silhouettes, surface_views
 from mgsr.pipeline.steps import always
 from mgsr.shading.gloss import fit_gloss, mirrorings
 from mgsr.shading.light_estimate import LightKind
@@ -35,13 +35,13 @@ def make_mesh(
     the reason, where no surface is found.
     """
     views = surface_views(model, scene, config)
-    outlined = outlined_scene(model, scene, config)
-    silhouettes = scene_silhouettes(outlined, config.expert.mesh.mask_side)
+    masked = masked_scene(model, scene, config)
+    silhouettes = scene_silhouettes(masked, config.expert.mesh.mask_side)
     mesh = extract_mesh(
         views,
         config.mesh,
         silhouettes,
-        outlined.train,
+        masked.train,
         go_on=go_on,
         start=start,
         ground=scene.ground,

@@ -13,7 +13,7 @@ from mgsr.budget.budget import TimeBudget
 from mgsr.config import Config, DataConfig, Exposure, object_box
 from mgsr.config.expert import DataOptions
 from mgsr.data.camera_search import CameraSearch
-from mgsr.data.exposure import evened
+from mgsr.data.exposure import with_exposures
 from mgsr.data.find_cameras import with_cameras
 from mgsr.data.find_scene import FoundScene
 from mgsr.data.found_cameras import CameraFolder
@@ -39,13 +39,13 @@ from mgsr.pipeline.scene_check import CheckedScene, check_scene, without_flawed
 from mgsr.pipeline.steps import Steps
 from mgsr.pipeline.time_budget import affordable_options, most_points, searches_object
 from mgsr.segmentation.object_masks import NoObject, find_object
-from mgsr.shading.lighting import Lighting, lit_scene
+from mgsr.shading.lighting import Lighting, add_irradiance
 from mgsr.start.points import StartingPoints
 from mgsr.start.scene_depths import DepthMaps, scene_depths
 from mgsr.start.starting_points import starting_points
 from mgsr.training.background import train_background
 from mgsr.training.exposure import find_exposures
-from mgsr.training.outlines import learned_outlines
+from mgsr.training.learned_masks import learn_masks
 
 LATER = ("exposure", "object", "object_box", "check")  # settings of DataConfig that take effect after the reading
 
@@ -176,7 +176,7 @@ def preprocess(
         scene, start = _at_one_exposure(scene, start, config, out, step, None if searched else points)
     if searched:
         scene, start = _object_alone(scene, start, config, out, step, points)
-    return _as_lit(scene, start.lighting, config, out, step), start
+    return _with_irradiance(scene, start.lighting, config, out, step), start
 
 
 def _with_kept_object(out: Path, scene: Scene, step: Steps) -> Scene:
@@ -205,7 +205,7 @@ def _at_one_exposure(
         exposures = find_exposures(scene, start, config.seed, step.should_stop, config.expert)
         if exposures is None:
             return scene, start
-        scene = evened(scene, exposures)
+        scene = with_exposures(scene, exposures)
         result_files.write_exposures(out, scene, exposures)
         text = (
             f"exposures differ by a factor of up to {exposures.largest_difference:.2f}; all photographs are brought "
@@ -253,8 +253,8 @@ def _object_alone(
         step.progress(Event("object", note, scene=scene))
         text = "training what lies around the object"
         with step("background", text):
-            told = step.share("background", text)
-            background = train_background(whole, found.train, start, config, step.should_stop, told)
+            report = step.share("background", text)
+            background = train_background(whole, found.train, start, config, step.should_stop, report)
             result_files.write_background(out, background, whole, config.output)
         for each in scene.notes[len(whole.notes) + 1 :]:
             step.progress(Event("object", each))
@@ -268,13 +268,13 @@ def _object_place(scene: Scene, config: Config) -> ObjectPlace | None:
     return scene.object_place if box is None else ObjectPlace(box)
 
 
-def _as_lit(scene: Scene, lighting: Lighting | None, config: Config, out: Path, step: Steps) -> Scene:
+def _with_irradiance(scene: Scene, lighting: Lighting | None, config: Config, out: Path, step: Steps) -> Scene:
     """Add a flash's irradiance to the scene's views, where a flash was found and training shall know of it."""
     if lighting is None or not config.train.flash:
         return scene
     with step("start", "computing the irradiance of the flash in each view"):
         result_files.write_lighting(out, lighting, scene)
-        return lit_scene(scene, lighting)
+        return add_irradiance(scene, lighting)
 
 
 def _learn_masks(scene: Scene, config: Config, step: Steps) -> list[np.ndarray] | None:
@@ -282,9 +282,9 @@ def _learn_masks(scene: Scene, config: Config, step: Steps) -> list[np.ndarray] 
     if not scene.backdrop(config.train.background).plain:
         return None
     text = "learning the object's silhouettes"
-    with step("outlines", text):
-        progress = step.share("outlines", text)
-        masks = learned_outlines(scene, config.seed, step.should_stop, progress, config.expert)
+    with step("learned_masks", text):
+        progress = step.share("learned_masks", text)
+        masks = learn_masks(scene, config.seed, step.should_stop, progress, config.expert)
     if masks is None:
-        step.progress(Event("outlines", "the learned silhouettes show no object, so the start does without them"))
+        step.progress(Event("learned_masks", "the learned silhouettes show no object, so the start does without them"))
     return masks

@@ -173,8 +173,8 @@ def load_result(out: str | os.PathLike[str]) -> Reconstruction:
     )
 
 
-def _path(name: str, given: object, besides: str = "") -> Path:
+def _path(name: str, given: object, alternative: str = "") -> Path:
     """Return an argument as a path. Raises ConfigError for anything else."""
     if not isinstance(given, str | os.PathLike):
-        raise ConfigError(f"{name}: expected {besides}a path, got {type(given).__name__}")
+        raise ConfigError(f"{name}: expected {alternative}a path, got {type(given).__name__}")
     return Path(given)

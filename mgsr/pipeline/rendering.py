@@ -16,7 +16,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.images import to_uint8
 from mgsr.data.masks import leave_borders_free, with_masks
 from mgsr.data.scene import Scene, View
-from mgsr.data.silhouettes import Silhouette, silhouettes
+from mgsr.data.silhouettes import Silhouette, view_silhouettes
 from mgsr.export.renders import Rendering, on_background, straight_color
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.mesh.cameras import surface_cameras
@@ -142,7 +142,7 @@ def _as_photograph(model: TrainedModel, view: View, config: Config, behind: Colo
     return replace(view, image=pixels, alpha=to_uint8(images.alpha * 255))
 
 
-def outlined_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
+def masked_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
     """Return the scene with masks: its own, or the branches' opacity before a plain backdrop.
 
     Before such a backdrop, opacity needs to cover only the object. Without masks and backdrop, the scene is returned
@@ -159,7 +159,7 @@ def scene_silhouettes(scene: Scene, side: int = MeshOptions().mask_side) -> list
     """Return the silhouettes of the training photographs' masks; none where the scene has none."""
     if not scene.masked:
         return []
-    return silhouettes(scene.train, side)
+    return view_silhouettes(scene.train, side)
 
 
 def _opacity(model: TrainedModel, camera: Camera) -> np.ndarray:

@@ -14,7 +14,7 @@ import torch
 
 from mgsr.config import Config, OutputConfig, Up
 from mgsr.config.expert import IrradianceOptions
-from mgsr.data.exposure import evened
+from mgsr.data.exposure import with_exposures
 from mgsr.data.scene import Exposures, Scene, Similarity
 from mgsr.data.up_direction import up_direction
 from mgsr.errors import MgsrError, in_short
@@ -57,7 +57,7 @@ from mgsr.report.data import ReportData
 from mgsr.report.decisions import with_decisions
 from mgsr.report.html import write_report_html
 from mgsr.report.pictures import ReportPictures
-from mgsr.shading.lighting import Lighting, lit_scene
+from mgsr.shading.lighting import Lighting, add_irradiance
 
 
 def clear_reports(out: Path) -> None:
@@ -104,7 +104,7 @@ def at_known_exposures(out: Path, scene: Scene) -> Scene:
     factors = np.concatenate([train, test])
     if not (np.isfinite(factors) & (factors > 0)).all():
         raise MgsrError(f"{out / EXPOSURES}: expected factors above 0; run `mgsr train SCENE -o {out}` again")
-    return evened(scene, Exposures(train, test))
+    return with_exposures(scene, Exposures(train, test))
 
 
 def write_lighting(out: Path, lighting: Lighting, scene: Scene) -> None:
@@ -113,13 +113,13 @@ def write_lighting(out: Path, lighting: Lighting, scene: Scene) -> None:
         write_flash(path, lighting.moved(scene.user_from_scene), origin_of_frame(scene.user_from_scene))
 
 
-def as_lit(out: Path, scene: Scene, config: Config) -> Scene:
+def with_irradiance(out: Path, scene: Scene, config: Config) -> Scene:
     """Return the scene with the irradiance of the flash that the run in `out` found, if it found one.
 
     Raises SceneError for a file that is damaged.
     """
     lighting = read_lighting(out, config.expert.shading.light.flash.irradiance)
-    return scene if lighting is None else lit_scene(scene, lighting.moved(scene.user_from_scene.inverse))
+    return scene if lighting is None else add_irradiance(scene, lighting.moved(scene.user_from_scene.inverse))
 
 
 def read_lighting(out: Path, options: IrradianceOptions) -> Lighting | None:

@@ -26,7 +26,7 @@ class RunLog:
         self._log: IO[str] | None = None
         self._path, self._mode = path, ("a" if append else "w")
         self._held: list[str] = []
-        self._begun = time.monotonic()
+        self._started_at = time.monotonic()
 
     def __enter__(self) -> RunLog:
         return self
@@ -53,7 +53,7 @@ class RunLog:
         self._held.clear()
 
     def _write(self, text: str) -> None:
-        line = f"{time.monotonic() - self._begun:8.1f}s  {text}\n"
+        line = f"{time.monotonic() - self._started_at:8.1f}s  {text}\n"
         if self._log is None:
             self._held.append(line)
         else:

@@ -16,10 +16,10 @@ from mgsr.pipeline.object_files import with_found_object
 from mgsr.pipeline.preprocess import load_again
 from mgsr.pipeline.rendering import render_views, rendered_scene
 from mgsr.pipeline.result_files import (
-    as_lit,
     at_known_exposures,
     read_mesh,
     read_models,
+    with_irradiance,
     write_mesh,
     write_renders,
     write_textured,
@@ -40,11 +40,11 @@ def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> R
     chosen = pick_device(device)
     scene = with_found_object(out, at_known_exposures(out, load_again(path, out, config)))
     # The run compared its surface with the starting surface, which the same seed reproduces.
-    begun_on = starting_points(scene, 1, config.seed, expert=config.expert).surface if scene.masked else None
+    start_surface = starting_points(scene, 1, config.seed, expert=config.expert).surface if scene.masked else None
     model = read_models(out, scene.user_from_scene).to(chosen.torch)
-    mesh = make_mesh(model, scene, config, start=begun_on)
+    mesh = make_mesh(model, scene, config, start=start_surface)
     write_mesh(out, mesh, config.output)
-    write_textured(out, make_textured(model, as_lit(out, scene, config), config, mesh), scene, config.output)
+    write_textured(out, make_textured(model, with_irradiance(out, scene, config), config, mesh), scene, config.output)
     return mesh
 
 
@@ -57,7 +57,7 @@ def render_again(path: Path, out: Path, config: Config, device: str = "auto", as
     chosen = pick_device(device)
     if as_scene is not None:
         require_new_folder(as_scene)
-    scene = as_lit(out, with_found_object(out, load_again(path, out, config)), config)
+    scene = with_irradiance(out, with_found_object(out, load_again(path, out, config)), config)
     models = read_models(out, scene.user_from_scene).to(chosen.torch)
     if as_scene is not None:
         write_scene_folder(as_scene, rendered_scene(models, scene, config), config.output.scale)
@@ -71,7 +71,7 @@ def score_again(path: Path, out: Path, config: Config, device: str = "auto") -> 
     Raises ConfigError, SceneError, GpuError, and MgsrError where there are no splats.
     """
     chosen = pick_device(device)
-    scene = as_lit(out, with_found_object(out, at_known_exposures(out, load_again(path, out, config))), config)
+    scene = with_irradiance(out, with_found_object(out, at_known_exposures(out, load_again(path, out, config))), config)
     models = read_models(out, scene.user_from_scene).to(chosen.torch)
     behind = scene.backdrop(config.train.background)
     scores = image_scores(list(render_views(models, scene.test, config)), scene, behind.color).to_json()

@@ -30,13 +30,13 @@ class StepClock:
 
     def __init__(self, started_at: float | None = None) -> None:
         """started_at: what time.perf_counter() said at the start; None is now."""
-        self._begun = time.perf_counter() if started_at is None else started_at
+        self._started_at = time.perf_counter() if started_at is None else started_at
         self.steps: dict[str, float] = {}
 
     @property
     def total(self) -> float:
         """Seconds since the start."""
-        return time.perf_counter() - self._begun
+        return time.perf_counter() - self._started_at
 
     @contextmanager
     def step(self, name: str) -> Iterator[None]:
@@ -67,15 +67,15 @@ class Steps:
 
         Events are sent at intervals. The callback raises Cancelled where a stop is asked for.
         """
-        told = time.monotonic()
+        reported_at = time.monotonic()
 
-        def tell(done: float) -> None:
+        def report(done: float) -> None:
             """Send the share done. Raises Cancelled if a stop is requested."""
-            nonlocal told
+            nonlocal reported_at
             if self.should_stop():
                 raise Cancelled(f"stopped on request in the step {step}")
-            if time.monotonic() - told > SELDOM:
-                told = time.monotonic()
+            if time.monotonic() - reported_at > SELDOM:
+                reported_at = time.monotonic()
                 self.progress(Event(step, f"{text}: {done:.0%}", done=done))
 
-        return tell
+        return report

@@ -7,8 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from mgsr.budget.budget import TimeBudget
-from mgsr.budget.costs import Facts, cameras_cost, load_cost, start_cost
+from mgsr.budget.costs import cameras_cost, load_cost, start_cost
 from mgsr.config import PRESETS, Config, ExpertConfig, Object
+from mgsr.data.cost_factors import CostFactors
 from mgsr.data.find_cameras import PHOTOGRAPHS
 from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene
@@ -34,7 +35,7 @@ def make_budget(
     return budget
 
 
-def facts_of(scene: Scene, config: Config, start: StartingPoints | None = None) -> Facts:
+def cost_factors(scene: Scene, config: Config, start: StartingPoints | None = None) -> CostFactors:
     """Return the cost factors of a scene.
 
     Without starting points, the factors that depend on them assume the costlier case.
@@ -46,7 +47,7 @@ def facts_of(scene: Scene, config: Config, start: StartingPoints | None = None) 
         shiny, flash = start.shiny, start.lighting is not None
     truth, learned = (scene.root / TRUTH).is_file(), scene.backdrop(config.train.background).plain
     searched = searches_object(scene, config)
-    return Facts(len(cameras), len(scene.test), pixels, truth, shiny, scene.masked, learned, flash, searched)
+    return CostFactors(len(cameras), len(scene.test), pixels, truth, shiny, scene.masked, learned, flash, searched)
 
 
 def searches_object(scene: Scene, config: Config) -> bool:
@@ -68,10 +69,10 @@ def fitted_scene(scene: Scene, budget: TimeBudget, config: Config, clock: StepCl
 
     clock: gives the reading time of the photographs.
     """
-    facts = facts_of(scene, config)
+    factors = cost_factors(scene, config)
     if "load" in clock.steps:
-        budget.learn(load_cost(facts), clock.steps["load"])
-    scale = budget.choose_scale(facts) if budget.scale is None else budget.scale
+        budget.learn(load_cost(factors), clock.steps["load"])
+    scale = budget.choose_scale(factors) if budget.scale is None else budget.scale
     if scale == 1:
         return scene
     return replace(scene, train=[reduced_view(view, scale) for view in scene.train])
@@ -98,16 +99,16 @@ def planned_config(
 
     clock: gives the time of the starting points. Raises the errors of training.
     """
-    facts = replace(facts_of(scene, config, start), searched="object" in clock.steps)
+    factors = replace(cost_factors(scene, config, start), searched="object" in clock.steps)
     budget.learn(
-        start_cost(facts, budget.stereo_pixels),
-        sum(clock.steps.get(name, 0.0) for name in ("start", "outlines", "object", "background")),
+        start_cost(factors, budget.stereo_pixels),
+        sum(clock.steps.get(name, 0.0) for name in ("start", "learned_masks", "object", "background")),
     )
     if budget.place is None:
         probed = probe(scene, start, config, device.torch)
-        budget.choose_place(facts, probed.seconds, probed.splats)
+        budget.choose_place(factors, probed.seconds, probed.splats)
     else:
-        budget.take_up(facts)
+        budget.take_up(factors)
     return budget.settings
 
 

@@ -26,7 +26,7 @@ STEPS = (
     "total",
     "load",
     "check",
-    "outlines",
+    "learned_masks",
     "start",
     "exposures",
     "object",
@@ -132,11 +132,11 @@ def _image(alt: str, pixels: np.ndarray, side: int, attributes: str = "") -> str
 
 
 def _key_figures(data: ReportData) -> str:
-    told = {score.label: value for score, value in scores_told(data)}
+    values = {score.label: value for score, value in scores_told(data)}
     figures = [("Time", *_duration(data.seconds.get("total", 0.0)))]
     for label in ("PSNR", "Chamfer distance", "Normal error"):
-        if label in told:
-            value, _, unit = told[label].partition(" ")
+        if label in values:
+            value, _, unit = values[label].partition(" ")
             figures.append((label, value, unit))
     figures.append(("Gaussians", short_number(sum(data.gaussians.values())), ""))
     if data.mesh is not None:

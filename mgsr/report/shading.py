@@ -23,7 +23,10 @@ MOST_PIXELS = 512  # longest side of a picture
 OCCLUSION_RAYS = 12  # per sample; four samples make a pixel
 OCCLUSION_REACH = 0.35  # of the mesh's radius: what lies farther darkens nothing
 OCCLUSION_SPREAD = 4  # samples to either side that lend each other their rays, where the surface goes on evenly
-EVEN_NORMAL, EVEN_STEP = 0.9, 0.01  # there: the least cosine between normals, and the most of the mesh's radius off
+COPLANAR_NORMAL, COPLANAR_STEP = (
+    0.9,
+    0.01,
+)  # there: the least cosine between normals, and the most of the mesh's radius off
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +106,7 @@ class MeshPainter:
             # A point on the unit sphere tangent to the surface gives cosine-weighted directions.
             rays = np.concatenate([starts, hits.normals + 0.999 * spread], axis=1)
             blocked += self._rays.test_occlusions(_tensor(rays), 0.0, OCCLUSION_REACH * self.radius).numpy()
-        return _evened(1 - blocked / OCCLUSION_RAYS, hits, EVEN_STEP * self.radius)
+        return _denoised(1 - blocked / OCCLUSION_RAYS, hits, COPLANAR_STEP * self.radius)
 
 
 @dataclass(frozen=True)
@@ -212,7 +215,7 @@ def _three_lights(normals: np.ndarray, camera: Camera) -> np.ndarray:
     return light
 
 
-def _evened(values: np.ndarray, hits: _Hits, step: float) -> np.ndarray:
+def _denoised(values: np.ndarray, hits: _Hits, step: float) -> np.ndarray:
     """Smooth the values [P] of a camera's hits over the even surface around each: few rays a sample are grainy.
 
     The means are over OCCLUSION_SPREAD samples to either side, along rows and then columns. step: how far samples may
@@ -233,14 +236,14 @@ def _evened(values: np.ndarray, hits: _Hits, step: float) -> np.ndarray:
             here[axis], there[axis] = slice(None, -far), slice(far, None)
             one, other = tuple(here), tuple(there)
             apart = points[other] - points[one]
-            even = np.einsum("hwi,hwi->hw", normals[one], normals[other]) > EVEN_NORMAL  # no hit has no normal
-            even &= np.abs(np.einsum("hwi,hwi->hw", normals[one], apart)) < step
+            coplanar = np.einsum("hwi,hwi->hw", normals[one], normals[other]) > COPLANAR_NORMAL  # no hit has no normal
+            coplanar &= np.abs(np.einsum("hwi,hwi->hw", normals[one], apart)) < step
             for mine, others in ((one, other), (other, one)):
-                total[mine] += np.where(even, result[others], 0)
-                weight[mine] += even
+                total[mine] += np.where(coplanar, result[others], 0)
+                weight[mine] += coplanar
         result = total / weight
-    evened: np.ndarray = result[hits.hit]
-    return evened
+    denoised: np.ndarray = result[hits.hit]
+    return denoised
 
 
 def _picture(colors: np.ndarray, hit: np.ndarray) -> np.ndarray:

@@ -28,15 +28,15 @@ def tolerant_hull(
     the world frame. plane: the support plane, which cuts the hull off. dissent: the share of the masks that may exclude
     a place; one mask always may.
     """
-    outlines = [Silhouette(camera, signed_distance(mask)) for mask, camera in zip(masks, cameras, strict=True)]
-    wrong = max(1, int(dissent * len(outlines)))
+    silhouettes = [Silhouette(camera, signed_distance(mask)) for mask, camera in zip(masks, cameras, strict=True)]
+    wrong = max(1, int(dissent * len(silhouettes)))
     half = options.half * float((box[1] - box[0]).max())
-    hull = carve(outlines, box.mean(axis=0), half, options.resolution, wrong)
+    hull = carve(silhouettes, box.mean(axis=0), half, options.resolution, wrong)
     if plane is None:
         return hull
     return cut_at(hull, plane.coefficients, options.sunk * pixel_size(cameras, np.zeros(3)))
 
 
-def silhouette(caster: RayCaster, camera: Camera) -> np.ndarray:
+def silhouette_distance(caster: RayCaster, camera: Camera) -> np.ndarray:
     """Return each pixel's signed distance [H,W] to a surface's silhouette, in pixels, positive inside."""
     return signed_distance((caster.cast(camera).depth > 0).astype(np.float32))

@@ -22,13 +22,13 @@ from mgsr.training.views import bounding_region
 class Matte:
     """The object in a photograph.
 
-    share [H,W] float32: the object's share of each pixel, 0..1. sure [H,W] bool: where the photograph certainly does
-    not show the background. told [H,W] bool: where the background is known; `sure` is False elsewhere.
+    share [H,W] float32: the object's share of each pixel, 0..1. certain [H,W] bool: where the photograph certainly does
+    not show the background. background_known [H,W] bool: where the background is known; `certain` is False elsewhere.
     """
 
     share: np.ndarray
-    sure: np.ndarray
-    told: np.ndarray
+    certain: np.ndarray
+    background_known: np.ndarray
 
 
 def first_region(mask: np.ndarray, options: MatteOptions = MatteOptions()) -> np.ndarray:
@@ -88,14 +88,14 @@ def matte(
         as_object[tested] = np.maximum(as_object[tested], unlike_object)
         as_background[tested] = np.maximum(as_background[tested], unlike_support)
     # Where both costs are equal, the image's edges decide.
-    towards = as_background - as_object
-    for_object, for_background = np.maximum(towards, 0), np.maximum(-towards, 0)
+    advantage = as_background - as_object
+    for_object, for_background = np.maximum(advantage, 0), np.maximum(-advantage, 0)
     if silhouette is not None:
         for_object += options.deep_cost * ((silhouette[window] > options.deep) & known)
-        for_background += options.beside_cost * (silhouette[window] < -options.beside)
+        for_background += options.outside_cost * (silhouette[window] < -options.outside)
     share = random_walker(part, for_object, for_background, inside, options.walker)
     found.share[window] = without_small_holes(share, options.max_hole)
-    found.sure[window], found.told[window] = known & (as_background > options.certain_cost), known
+    found.certain[window], found.background_known[window] = known & (as_background > options.certain_cost), known
     return found
 
 

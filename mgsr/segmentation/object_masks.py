@@ -34,7 +34,7 @@ from mgsr.parallel import map_ahead
 from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.background import BackgroundSources
 from mgsr.segmentation.color_models import ColorModels, color_models, near_on_plane
-from mgsr.segmentation.consensus import silhouette, tolerant_hull
+from mgsr.segmentation.consensus import silhouette_distance, tolerant_hull
 from mgsr.segmentation.mattes import Matte, first_region, hull_region, matte
 from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane
@@ -173,10 +173,10 @@ class _Search:
             self.labels = np.zeros_like(self.labels)
             return
         caster = Mesh(*hull_surface(self._hull)).caster
-        self.silhouettes = [silhouette(caster, camera) for camera in self._cameras]
+        self.silhouettes = [silhouette_distance(caster, camera) for camera in self._cameras]
         inside = self._hull.values(self._model.means.numpy().astype(np.float64)) > -own.around * self._pixel
         self._models = self._color_models(found)
-        self.labels = inside & (first.heights > own.raised * self._pixel) & self._sure(found)
+        self.labels = inside & (first.heights > own.raised * self._pixel) & self._certainly_object(found)
 
     def last_masks(self, train: Sequence[View], test: Sequence[View]) -> list[np.ndarray]:
         """Return the final masks [H,W] uint8, 0..255, of the training and then the test views.
@@ -195,10 +195,12 @@ class _Search:
         def made(pair: tuple[View, View]) -> np.ndarray:
             view, camera = pair[0], pair[1].camera
             longest = max(camera.width, camera.height)
-            inside = silhouette(caster, camera) / max(1.0, longest / own.side)  # in pixels of the small photographs
+            inside = silhouette_distance(caster, camera) / max(
+                1.0, longest / own.side
+            )  # in pixels of the small photographs
             region = hull_region(inside > 0, inside, mattes)
             found = matte(pair[1].image, camera, region, surfels, sources, inside, mattes, self._models)
-            outer = np.where(inside > -own.beside, found.share, 0)
+            outer = np.where(inside > -own.outer_margin, found.share, 0)
             share = np.where(inside > own.filled, 1, outer).astype(np.float32)
             size = view.camera.width, view.camera.height
             return np.asarray((255 * cv2.resize(share, size, interpolation=cv2.INTER_LINEAR)).round().astype(np.uint8))
@@ -250,7 +252,7 @@ class _Search:
         own, deep = self._options.colors, self._options.search.filled
         reach = own.reach * float(np.linalg.norm(box[1] - box[0]))
         objects = [
-            each.sure & mask & (inside > deep)
+            each.certain & mask & (inside > deep)
             for each, mask, inside in zip(found, self.masks, silhouettes, strict=True)
         ]
         supports = [
@@ -259,15 +261,15 @@ class _Search:
         ]
         return color_models(self._images, objects, supports, own)
 
-    def _sure(self, found: Sequence[Matte]) -> np.ndarray:
+    def _certainly_object(self, found: Sequence[Matte]) -> np.ndarray:
         """Return the surfels [N] bool whose pixels mostly hide the background for certain.
 
         found: the mattes of the small photographs.
         """
         own = self._options.search
-        masks = [np.stack([each.sure, each.told], axis=-1) for each in found]
-        sure, told = lifted_labels(self._model, masks, self._cameras)[0].T
-        return np.asarray((sure > own.sure * told) & (told > own.known))
+        masks = [np.stack([each.certain, each.background_known], axis=-1) for each in found]
+        certain, known = lifted_labels(self._model, masks, self._cameras)[0].T
+        return np.asarray((certain > own.certain * known) & (known > own.known))
 
 
 def _columns(surfels: SurfelModel, plane: SupportPlane | None, copies: int) -> SurfelModel:

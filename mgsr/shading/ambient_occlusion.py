@@ -18,7 +18,7 @@ from mgsr.data.photograph import Photograph
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import tangents
 from mgsr.parallel import map_ahead
-from mgsr.shading.observations import read_image, seen_frontal
+from mgsr.shading.observations import sample_image, seen_frontal
 
 TURN = np.pi * (3 - np.sqrt(5))  # radians from ray to ray: the golden angle spreads the rays evenly
 
@@ -74,7 +74,7 @@ def _shown(mesh: Mesh, photograph: Photograph, gap: float, min_cosine: float) ->
     )
     pixels, _ = photograph.camera.project(vertices[seen])
     brightness = np.zeros(len(vertices), np.float32)
-    brightness[seen] = read_image(photograph.brightness, pixels)
+    brightness[seen] = sample_image(photograph.brightness, pixels)
     return brightness
 
 

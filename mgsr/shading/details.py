@@ -24,7 +24,7 @@ from mgsr.parallel import map_ahead
 from mgsr.shading.environment_fit import FittedEnvironmentMap
 from mgsr.shading.light_models import LightModel
 from mgsr.shading.lighting import GAMMA, Lighting
-from mgsr.shading.observations import lie_within, read_image, seen_frontal
+from mgsr.shading.observations import lie_within, sample_image, seen_frontal
 
 GREY = np.full(3, 1 / 3)  # the mean of the channels
 
@@ -86,7 +86,7 @@ class ChannelMix:
     def slopes(self, pixels: np.ndarray) -> np.ndarray:
         """Return the mix's gradient [P,2], to the right and down, per pixel, at pixel coordinates [P,2]."""
         sides = np.eye(2)
-        ahead, behind = ([read_image(self.mixed, pixels + sign * side) for side in sides] for sign in (1, -1))
+        ahead, behind = ([sample_image(self.mixed, pixels + sign * side) for side in sides] for sign in (1, -1))
         return np.stack(ahead, axis=1) / 2 - np.stack(behind, axis=1) / 2
 
     def rates(self, pixels: np.ndarray) -> np.ndarray:
@@ -169,8 +169,8 @@ def _read_one(surface: ObservedMesh, mix: ChannelMix, light: KnownLight) -> np.n
     step = 0.1 * surface.pixel * normals[samples.seen]
     moved = 10 * (camera.project(places[samples.seen] + step)[0] - samples.pixels)
     column = np.zeros((4, len(places)), np.float32)
-    column[0, samples.seen] = read_image(mix.mixed, samples.pixels) / samples.lit
-    column[1, samples.seen] = (mix.slopes(samples.pixels) * moved).sum(axis=1) / samples.lit
+    column[0, samples.seen] = sample_image(mix.mixed, samples.pixels) / samples.irradiance_factor
+    column[1, samples.seen] = (mix.slopes(samples.pixels) * moved).sum(axis=1) / samples.irradiance_factor
     column[3, samples.seen] = samples.weights
     column[:2] = surface.detail(column[:2], column[3] > 0)
     if light.mirrors is not None:
@@ -186,14 +186,14 @@ class ViewSamples:
     """A surface's vertices in one photograph.
 
     view_directions [V,3]: unit directions from each vertex to the camera. seen [S]: the indices of the visible
-    vertices. pixels [S,2]: their pixel coordinates. lit [S]: the factor by which a flash scales their sRGB values, 1
-    without a flash. weights [S]: 0 where a vertex is unusable.
+    vertices. pixels [S,2]: their pixel coordinates. irradiance_factor [S]: the factor by which a flash scales their
+    sRGB values, 1 without a flash. weights [S]: 0 where a vertex is unusable.
     """
 
     view_directions: np.ndarray
     seen: np.ndarray
     pixels: np.ndarray
-    lit: np.ndarray
+    irradiance_factor: np.ndarray
     weights: np.ndarray
 
 
@@ -207,13 +207,13 @@ def sample_view(surface: ObservedMesh, mix: ChannelMix, light: KnownLight) -> Vi
         surface.mesh.caster, camera, places, normals, cosines > surface.options.min_cosine, surface.pixel
     )
     pixels, _ = camera.project(places[seen])
-    weights, lit = cosines[seen] * lie_within(mix.usable, pixels), np.ones(len(seen))
+    weights, irradiance_factor = cosines[seen] * lie_within(mix.usable, pixels), np.ones(len(seen))
     if light.lighting is not None:
         falling = light.lighting.falling_on(camera, places[seen], normals[seen])
         dimmest = light.lighting.options.dimmest
-        lit = np.maximum(falling, dimmest) ** (1 / GAMMA)
-        weights *= lit**2 * (falling >= dimmest)
-    return ViewSamples(view_directions, seen, pixels, lit, weights)
+        irradiance_factor = np.maximum(falling, dimmest) ** (1 / GAMMA)
+        weights *= irradiance_factor**2 * (falling >= dimmest)
+    return ViewSamples(view_directions, seen, pixels, irradiance_factor, weights)
 
 
 def centered(values: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -15,6 +15,8 @@ from scipy.ndimage import map_coordinates
 from scipy.sparse.linalg import LinearOperator, cg
 
 from mgsr.config.expert import EnvironmentFitOptions
+from mgsr.data.robust import robust_deviation
+from mgsr.geometry.triangles import reflect
 from mgsr.shading.observations import Observations
 
 
@@ -45,7 +47,7 @@ class FittedEnvironmentMap:
 
     def mirrored(self, normals: np.ndarray, view_directions: np.ndarray) -> np.ndarray:
         """Return the light [P] that points with unit normals [P,3] mirror to unit directions view_directions [P,3]."""
-        directions = 2 * (view_directions * normals).sum(axis=1, keepdims=True) * normals - view_directions
+        directions = reflect(view_directions, normals)
         return np.asarray(sample_map(directions, len(self.light)) @ self.light.ravel())
 
 
@@ -77,14 +79,14 @@ def fit_environment_map(
     )
     owners = np.nonzero(seen)[0]
     own, eye = normals[points][owners], view_directions[seen]
-    rows = sample_map(2 * (eye * own).sum(1, keepdims=True) * own - eye, options.height)
+    rows = sample_map(reflect(eye, own), options.height)
     equations = _EnvironmentEquations(rows, brightness[seen].astype(float), owners, options)
     given = weights[seen].astype(float)
     light, current = np.zeros(rows.shape[1]), given
     for _ in range(options.rounds):
         light = equations.solve(current, light)
         residual = equations.residual(light, current)
-        spread = 1.4826 * np.median(np.abs(residual)) + 1e-9
+        spread = robust_deviation(residual) + 1e-9
         current = given / (1 + (residual / (options.outlier * spread)) ** 2)
     deviation = _deviation(residual, given)
     plain = _deviation(equations.residual(np.zeros_like(light), given), given)

@@ -138,11 +138,11 @@ def _solve(
         own = options.prior_weight * current.sum(axis=1)
         cosines = np.maximum(np.einsum("pki,pi->pk", lamp_directions, solved), 0)
         albedo = least_squares_scale(brightness, cosines + ambient, current)
-        lit = brightness - albedo[:, None] * ambient
+        direct = brightness - albedo[:, None] * ambient
         matrix = (products @ current[..., None])[:, _PLACES, 0] + (own + 1e-9)[:, None, None] * np.eye(3)
-        right = np.einsum("pki,pk->pi", lamp_directions, lit * current) + (own * albedo)[:, None] * normals
+        right = np.einsum("pki,pk->pi", lamp_directions, direct * current) + (own * albedo)[:, None] * normals
         tilted = np.linalg.solve(matrix, right[..., None])[..., 0]
-        residual = lit - np.einsum("pki,pi->pk", lamp_directions, tilted)
+        residual = direct - np.einsum("pki,pi->pk", lamp_directions, tilted)
         current = irls_weights(residual, weights, current, options)
         solved = tilted / np.maximum(np.linalg.norm(tilted, axis=1, keepdims=True), 1e-9)
     spread = np.trace(np.linalg.inv(matrix), axis1=1, axis2=2)

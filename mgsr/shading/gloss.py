@@ -21,9 +21,10 @@ from mgsr.data.images import srgb_to_linear
 from mgsr.data.photograph import Photograph
 from mgsr.data.scene import View, some_of
 from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.triangles import reflect
 from mgsr.shading.environment_fit import sample_map, steps_squared
 from mgsr.shading.material import MATTE, Material
-from mgsr.shading.observations import observe_photographs, read_image
+from mgsr.shading.observations import observe_photographs, sample_image
 
 ROUGHNESSES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.8)
 TILTS = (0.3, 0.6, 1.0)  # cosines of the tilts at which the lobes are computed; between them they are blended
@@ -65,7 +66,7 @@ def mirrorings(
     owners, seen = np.nonzero(observed.weights > 0)
     normals, eye = mesh.double_normals[points][owners], observed.view_directions[owners, seen].astype(np.float64)
     cosines = (eye * normals).sum(axis=1)
-    directions = 2 * cosines[:, None] * normals - eye
+    directions = reflect(eye, normals)
     places = mesh.vertices[points][owners]
     free = ~mesh.caster.cast_rays(places + gap * normals, directions).mask
     numbers = observed.photographs[owners, seen]
@@ -74,7 +75,7 @@ def mirrorings(
         own = np.flatnonzero(numbers == number)
         pixels, _ = view.camera.project(places[own])
         linear = srgb_to_linear(view.image.astype(np.float32) / 255)
-        colors[own] = np.stack([read_image(linear[..., channel], pixels) for channel in range(3)], axis=1)
+        colors[own] = np.stack([sample_image(linear[..., channel], pixels) for channel in range(3)], axis=1)
     weights = observed.weights[owners, seen]
     held = numbers % options.held_out == options.held_out - 1
     return Mirrorings(*(each[free] for each in (owners, directions, cosines, colors, weights, ~held)))
@@ -155,15 +156,15 @@ class _Fit:
         """
         lobes, share = self._lobes_of(roughness), self._share(roughness)
         weights = self._seen.weights * self._seen.training
-        hold = self._options.smoothness * weights.sum() / len(start)
+        prior_weight = self._options.smoothness * weights.sum() / len(start)
         scale = float((weights * values * values).sum()) / len(start)
 
         def cost(light: np.ndarray) -> tuple[float, np.ndarray]:
             residual = self._centred(values - share * self.spread(light, roughness), weights)
             pull, weighted = self._smooth @ light, share * weights * residual
             slope = -sum(lobe.gather(turned @ weighted) for lobe, turned in zip(lobes, self._turned, strict=True))
-            value = 0.5 * float((weights * residual * residual).sum() + hold * (light @ pull))
-            return value / scale, (slope + hold * pull) / scale
+            value = 0.5 * float((weights * residual * residual).sum() + prior_weight * (light @ pull))
+            return value / scale, (slope + prior_weight * pull) / scale
 
         options = {"maxiter": steps, "ftol": self._options.tolerance}
         bounds = Bounds(0, np.inf)
@@ -234,9 +235,11 @@ def mirrored_share(cosines: np.ndarray, roughness: float, reflectance: float) ->
     up = np.sqrt((1 - chance) / (1 + (square - 1) * chance))
     met = np.sqrt(1 - tilts**2) * np.sqrt(1 - up**2) * np.cos(turn) + tilts * up
     leaving = 2 * met * up - tilts
-    seen, lit = (2 / (1 + np.sqrt(1 + square * (1 / np.maximum(each, 1e-6) ** 2 - 1))) for each in (tilts, leaving))
+    masking, shadowing = (
+        2 / (1 + np.sqrt(1 + square * (1 / np.maximum(each, 1e-6) ** 2 - 1))) for each in (tilts, leaving)
+    )
     fresnel = reflectance + (1 - reflectance) * (1 - np.clip(met, 0, 1)) ** 5
-    share = np.where((met > 0) & (leaving > 0), fresnel * seen * lit * met / (tilts * up), 0).mean(axis=1)
+    share = np.where((met > 0) & (leaving > 0), fresnel * masking * shadowing * met / (tilts * up), 0).mean(axis=1)
     return np.asarray(np.interp(cosines, tilts[:, 0], share))
 
 

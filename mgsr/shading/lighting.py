@@ -138,7 +138,7 @@ def lamp_light(to_lamp: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return np.asarray(cosines / (to_lamp**2).sum(axis=-1) ** 1.5)
 
 
-def lit_scene(scene: Scene, lighting: Lighting | None, threads: int | None = None) -> Scene:
+def add_irradiance(scene: Scene, lighting: Lighting | None, threads: int | None = None) -> Scene:
     """Return the scene with the flash's irradiance in each of its views; unchanged without a flash."""
     if lighting is None:
         return scene

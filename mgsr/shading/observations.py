@@ -96,7 +96,7 @@ def seen_frontal(
     return seen
 
 
-def read_image(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+def sample_image(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """Sample an image [H,W] bilinearly at pixel coordinates [P,2] (centres at +0.5), clamped at the border."""
     values: np.ndarray = map_coordinates(image, [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5], order=1, mode="nearest")
     return values
@@ -104,7 +104,7 @@ def read_image(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 
 def lie_within(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """Return which pixel coordinates [P,2] have only neighbours inside a mask [H,W] bool, as [P] bool."""
-    return read_image(mask.astype(np.float32), pixels) > 0.99
+    return sample_image(mask.astype(np.float32), pixels) > 0.99
 
 
 def _arrays(observations: Observations) -> tuple[np.ndarray, ...]:
@@ -137,6 +137,6 @@ def _read(
         index = index[caster.reached(lamp, points[index] + normals[index] * gap, gap)]
     pixels, _ = camera.project(points[index])
     brightness, weights = np.zeros((2, len(points)), np.float32)
-    brightness[index] = read_image(photograph.brightness, pixels)
+    brightness[index] = sample_image(photograph.brightness, pixels)
     weights[index] = cosines[index] * lie_within(photograph.usable, pixels)
     return view_directions, distances, brightness, weights

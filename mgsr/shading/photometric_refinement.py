@@ -18,6 +18,7 @@ from collections.abc import Callable
 import numpy as np
 
 from mgsr.config.expert import PhotometricOptions
+from mgsr.data.robust import robust_deviation
 from mgsr.data.scene import some_of
 from mgsr.geometry.contours import contour_gaps
 from mgsr.geometry.decimate import coarser
@@ -98,6 +99,6 @@ def _registered(details: Details, surface: ObservedMesh, options: PhotometricOpt
 def _noise(residual: np.ndarray, weights: np.ndarray) -> float:
     """Return the robust standard deviation of the residuals [V,K] with positive weights [V,K].
 
-    It is the median absolute residual times 1.4826, or 1 if no weight is positive.
+    It is `robust_deviation`, or 1 if no weight is positive.
     """
-    return 1.4826 * float(np.median(np.abs(residual[weights > 0]))) + 1e-9 if weights.any() else 1.0
+    return robust_deviation(residual[weights > 0]) + 1e-9 if weights.any() else 1.0

@@ -16,7 +16,7 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import map_ahead
 from mgsr.shading.details import GREY, ChannelMix, KnownLight, ObservedMesh, mix_channels, sample_view
 from mgsr.shading.light_models import LightModel
-from mgsr.shading.observations import read_image
+from mgsr.shading.observations import sample_image
 from mgsr.shading.photo_set import PhotoSet
 
 
@@ -39,13 +39,13 @@ def photometric_residual(
     columns = list(map_ahead(lambda mix: _column(surface, mix, light), mixes, threads))
     values, slopes = (np.stack(each, axis=1) for each in zip(*columns, strict=True))
     apart = np.maximum(np.abs(values - _median(values)[:, None]) - options.surface_error * slopes, 0)
-    told = np.isfinite(values).sum(axis=1) >= options.details.min_observations
-    if not told.any():
+    valid = np.isfinite(values).sum(axis=1) >= options.details.min_observations
+    if not valid.any():
         return np.zeros(len(mesh.vertices))
-    differing = np.where(told, _median(apart), 0)
-    around = surface.around(np.stack([differing, told], axis=1), options.averaged)
+    differing = np.where(valid, _median(apart), 0)
+    around = surface.around(np.stack([differing, valid], axis=1), options.averaged)
     differing = around[:, 0] / np.maximum(around[:, 1], 1e-6)
-    beyond = told * np.maximum(differing - options.forgiven * np.median(differing[told]), 0)
+    beyond = valid * np.maximum(differing - options.forgiven * np.median(differing[valid]), 0)
     return np.asarray(coarse.prolongation(mesh.vertices) @ beyond)
 
 
@@ -55,12 +55,12 @@ def _column(surface: ObservedMesh, mix: ChannelMix, light: KnownLight) -> np.nda
     A slope is the magnitude of the image gradient, per pixel.
     """
     samples = sample_view(surface, mix, light)
-    told = np.full((2, len(surface.mesh.vertices)), np.nan, np.float32)
+    values = np.full((2, len(surface.mesh.vertices)), np.nan, np.float32)
     of_use = samples.weights > 0
     pixels = samples.pixels[of_use]
-    shown = np.stack([read_image(mix.mixed, pixels), np.linalg.norm(mix.slopes(pixels), axis=1)])
-    told[:, samples.seen[of_use]] = shown / samples.lit[of_use]
-    return told
+    shown = np.stack([sample_image(mix.mixed, pixels), np.linalg.norm(mix.slopes(pixels), axis=1)])
+    values[:, samples.seen[of_use]] = shown / samples.irradiance_factor[of_use]
+    return values
 
 
 def _median(values: np.ndarray) -> np.ndarray:

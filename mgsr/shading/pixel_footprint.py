@@ -20,7 +20,7 @@ from mgsr.data.photograph import Photograph
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import PixelHits, RayCaster
 from mgsr.parallel import map_ahead
-from mgsr.shading.observations import Observations, read_image
+from mgsr.shading.observations import Observations, sample_image
 
 
 def deconvolve(
@@ -48,7 +48,7 @@ def deconvolve(
         points = np.zeros(len(vertices), np.float32)
         points[needed] = shown(number, needed)
         image, known = _through_pixels(hits, faces, points, photograph.usable)
-        brightness[read, columns] += read_image(known, pixels) * points[read] - read_image(image, pixels)
+        brightness[read, columns] += sample_image(known, pixels) * points[read] - sample_image(image, pixels)
 
     deque(map_ahead(take_off, range(len(photographs)), threads), maxlen=0)
     return replace(observations, brightness=brightness)

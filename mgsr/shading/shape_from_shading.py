@@ -44,7 +44,7 @@ def shape_from_shading(
     pixel, chosen, done = photos.pixel_on(mesh), passes.get(estimate.kind, ()), 0
     rounds = sum(each.rounds for each in chosen)
     for each in chosen:
-        mesh = _fair(mesh, each.fairing, options.fairing)
+        mesh = _bilateral_filtered(mesh, each.bilateral_angle, options.bilateral)
         before = coarser(mesh, each.edge * pixel, options.max_faces)
         fine = _FineMesh(mesh, before, before.prolongation(mesh.vertices), photos.contours, options.contours)
         after = before
@@ -54,7 +54,7 @@ def shape_from_shading(
             after = _bend(after, fine, estimate.model.explain(after), each.reach * pixel, pixel, options)
             done += 1
             progress(done / rounds)
-        mesh = _fair(fine.moved_with(after), each.fairing, options.fairing)
+        mesh = _bilateral_filtered(fine.moved_with(after), each.bilateral_angle, options.bilateral)
     return mesh
 
 
@@ -106,7 +106,7 @@ def _bend(
     return mesh.moved(mesh.vertices + moves[:, None] * mesh.double_normals)
 
 
-def _fair(mesh: Mesh, angle: float, options: BilateralOptions) -> Mesh:
+def _bilateral_filtered(mesh: Mesh, angle: float, options: BilateralOptions) -> Mesh:
     return bilateral_normal_filter(mesh, angle, options) if angle else mesh
 
 

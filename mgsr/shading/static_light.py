@@ -43,10 +43,10 @@ class StaticLight:
         areas = np.sqrt(1 - directions[:, 2] ** 2)
         shares = areas / areas.sum()
         basis = real_harmonics(directions)
-        wanted = basis @ self.harmonics
+        radiance = basis @ self.harmonics
         weights = freedom * np.sqrt(shares)
         equations = np.concatenate([basis.T * shares, np.diag(weights)])
-        values = np.concatenate([self.harmonics, weights[:, None] * wanted])
+        values = np.concatenate([self.harmonics, weights[:, None] * radiance])
         sky = np.stack([nnls(equations, each)[0] for each in values.T], axis=1)
         return sky.reshape(height, 2 * height, 3).astype(np.float32)
 
@@ -96,15 +96,15 @@ def _fit_light(
 
     sky [V,9] and bounced [V]: as in `static_irradiance`, of one channel.
     """
-    change, even = logs[first] - logs[second], sky[:, 0] + bounced
-    hold = options.prior * len(change) ** 0.5
+    change, constant = logs[first] - logs[second], sky[:, 0] + bounced
+    prior_weight = options.prior * len(change) ** 0.5
 
     def arriving(light: np.ndarray) -> np.ndarray:
-        return np.asarray(np.maximum(even + sky[:, 1:] @ light, options.darkest))
+        return np.asarray(np.maximum(constant + sky[:, 1:] @ light, options.darkest))
 
     def residual(light: np.ndarray) -> np.ndarray:
         shading = np.log(arriving(light))
-        return np.concatenate([_robust(change - shading[first] + shading[second], options.step), hold * light])
+        return np.concatenate([_robust(change - shading[first] + shading[second], options.step), prior_weight * light])
 
     def cost(light: np.ndarray) -> float:
         return float((residual(light)[: len(change)] ** 2).sum())

@@ -30,19 +30,19 @@ def background_points(
     directions = _directions(options.directions)
     inverse, levels = np.linspace(1 / options.farthest, 1 / options.nearest, options.levels), np.arange(options.levels)
     tried = [_agreement(reduced, directions / each) for each in inverse]
-    disagreement, colors, count = (np.stack(each, axis=1) for each in zip(*tried, strict=True))
-    told = count >= options.seen
-    kept = told.mean(axis=1) > 0.5
+    deviation, colors, count = (np.stack(each, axis=1) for each in zip(*tried, strict=True))
+    shown_enough = count >= options.seen
+    kept = shown_enough.mean(axis=1) > 0.5
     if kept.sum() <= options.neighbours:
         return PointCloud(np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
-    directions, disagreement, colors, told = (each[kept] for each in (directions, disagreement, colors, told))
+    directions, deviation, colors, shown_enough = (each[kept] for each in (directions, deviation, colors, shown_enough))
     # A neutral cost where too few photographs show a place, so that the neighbours decide.
-    disagreement = np.where(told, np.minimum(disagreement, options.most), np.median(disagreement[told]))
+    deviation = np.where(shown_enough, np.minimum(deviation, options.most), np.median(deviation[shown_enough]))
     neighbours = cKDTree(directions).query(directions, k=options.neighbours + 1)[1][:, 1:]
-    level, smooth = _smooth_levels(disagreement, neighbours, options)
+    level, smooth = _smooth_levels(deviation, neighbours, options)
     distance = 1 / np.interp(smooth, levels, inverse)
     # The colour comes from the nearest level that enough photographs show.
-    shown = np.where(told, np.abs(levels - level[:, None]), len(levels)).argmin(axis=1)
+    shown = np.where(shown_enough, np.abs(levels - level[:, None]), len(levels)).argmin(axis=1)
     color = (255 * colors[np.arange(len(shown)), shown]).round().clip(0, 255).astype(np.uint8)
     return PointCloud(directions * distance[:, None], color)
 
@@ -88,14 +88,14 @@ def _agreement(reduced: Sequence[View], places: np.ndarray) -> tuple[np.ndarray,
 
 
 def _smooth_levels(
-    disagreement: np.ndarray, neighbours: np.ndarray, options: BackgroundPointOptions
+    deviation: np.ndarray, neighbours: np.ndarray, options: BackgroundPointOptions
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Choose a distance level for each of D directions, with low disagreement and close to its neighbours' levels.
+    """Choose a distance level for each of D directions, with low deviation and close to its neighbours' levels.
 
-    disagreement [D,L]: sRGB 0..1, for each of L levels. neighbours [D,k]: the indices of neighbouring directions.
+    deviation [D,L]: sRGB 0..1, for each of L levels. neighbours [D,k]: the indices of neighbouring directions.
     Returns the levels [D], and smooth levels [D] that average each with its neighbours' mean.
     """
-    cost = (disagreement + disagreement[neighbours].mean(axis=1)) / (2 * options.noise)
+    cost = (deviation + deviation[neighbours].mean(axis=1)) / (2 * options.noise)
     levels = np.arange(cost.shape[1])
     level = cost.argmin(axis=1)
     for _ in range(options.rounds):

@@ -33,7 +33,7 @@ from mgsr.stereo.patch_match import DepthMap, match_views, weigh, weigh_gaps
 from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
 
 # Progress at the end of each part, measured as shares of the time on 48 views of 256 x 256 pixels.
-HALVES_MATCHED, MATCHED, FUSED, FAR_SHADED, NEAR_BEGUN, NEAR_SHADED = 0.1, 0.4, 0.6, 0.83, 0.87, 0.92
+HALVES_MATCHED, MATCHED, FUSED, FAR_SHADED, NEAR_STARTED, NEAR_SHADED = 0.1, 0.4, 0.6, 0.83, 0.87, 0.92
 
 
 @dataclass(frozen=True)
@@ -65,9 +65,9 @@ def find_surface(
     """
     photos = PhotoSet(views, silhouettes, options=expert.shading.observations)
     passes, last = _far_passes(expert.start.surface), _near_passes(expert.start.surface)
-    mesh = _likelier_surface(photos, hull, seed, progress, expert)
+    mesh = _hull_or_stereo_surface(photos, hull, seed, progress, expert)
     progress(FUSED)
-    far, near = _between(progress, FUSED, FAR_SHADED), _between(progress, NEAR_BEGUN, NEAR_SHADED)
+    far, near = _between(progress, FUSED, FAR_SHADED), _between(progress, NEAR_STARTED, NEAR_SHADED)
     mesh, estimate = _refined(mesh, photos, LightEstimate(), passes, far, expert)
     if estimate.kind in last:
         mesh, estimate = _refined(mesh, photos, estimate, last, near, expert)
@@ -76,7 +76,7 @@ def find_surface(
     return MaskedSurface(mesh, estimate.kind, lighting)
 
 
-def _likelier_surface(
+def _hull_or_stereo_surface(
     photos: PhotoSet, hull: Hull, seed: int, progress: Callable[[float], None], expert: ExpertConfig
 ) -> Mesh:
     """Return the hull's surface if the photographs speak clearly for it, else the surface that stereo finds.
@@ -93,7 +93,7 @@ def _likelier_surface(
         return outer
     light, options = expert.shading.light, expert.start.surface
     on_outer, on_inner = environment_residuals((outer, inner), photos, light.environment)
-    if on_outer.ratio <= light.max_environment_ratio and on_outer.ratio <= options.mirror_share * on_inner.ratio:
+    if on_outer.ratio <= light.max_environment_ratio and on_outer.ratio <= options.max_hull_residual * on_inner.ratio:
         return outer
     believed = map_ahead(lambda camera: _believed(camera, on_outer, on_inner, options.disbelieved), seen.cameras, None)
     weights = [weight * share for weight, share in zip(seen.weights, believed, strict=True)]

@@ -14,6 +14,7 @@ import numpy as np
 
 from mgsr.config.expert import PointExposureOptions
 from mgsr.data.images import srgb_to_linear
+from mgsr.data.robust import robust_deviation
 from mgsr.data.scene import View
 from mgsr.start.view_colors import seen_pixels
 
@@ -137,6 +138,6 @@ def _fit(seen: np.ndarray, train: int, options: PointExposureOptions) -> np.ndar
         of_tests = weight[train:]
         exposure[train:] = (of_tests * (seen[train:] - own)).sum(axis=1) / np.maximum(of_tests.sum(axis=1), 1e-12)
         residual = seen - own - exposure[:, None]
-        spread = max(1.4826 * float(np.median(np.abs(residual[:train][there[:train]]))), 1e-4)
+        spread = max(robust_deviation(residual[:train][there[:train]]), 1e-4)
         weight = there / (1 + np.square(residual / (options.outlier * spread)))
     return exposure

@@ -12,7 +12,7 @@ from mgsr.config import Background, ExpertConfig
 from mgsr.config.expert import StartConfig, ViewColorOptions
 from mgsr.data.hull import carve, cut_at, hull_surface
 from mgsr.data.scene import PointCloud, Scene, View
-from mgsr.data.silhouettes import Silhouette, silhouettes
+from mgsr.data.silhouettes import Silhouette, view_silhouettes
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.light_estimate import LightKind
 from mgsr.start.background_points import background_points
@@ -20,7 +20,7 @@ from mgsr.start.masked_surface import find_surface
 from mgsr.start.points import StartingPoints, StartSource
 from mgsr.start.scene_depths import DepthMaps, scene_depths
 from mgsr.start.scene_points import scene_points
-from mgsr.start.view_colors import seen_colors
+from mgsr.start.view_colors import median_colors
 
 
 def starting_points(
@@ -48,8 +48,8 @@ def starting_points(
     """
     generator = np.random.default_rng(seed)
     if scene.masked:
-        outlines = silhouettes(scene.train, expert.start.mask_side)
-        return _surface_points(scene, outlines, count, seed, generator, progress, expert)
+        silhouettes = view_silhouettes(scene.train, expert.start.mask_side)
+        return _surface_points(scene, silhouettes, count, seed, generator, progress, expert)
     own = _own_points(scene.points, expert.start.max_distance) if scene.points is not None else None
     if depths is None:
         depths = scene_depths(scene.train, seed, progress, expert.start.stereo, expert.stereo)
@@ -64,7 +64,7 @@ def ball_points(
     directions = generator.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     positions = directions * np.cbrt(generator.random(count))[:, None]
-    return StartingPoints(positions, seen_colors(views, positions, options=options), StartSource.BALL)
+    return StartingPoints(positions, median_colors(views, positions, options=options), StartSource.BALL)
 
 
 def hull_points(
@@ -74,8 +74,8 @@ def hull_points(
 
     resolution: voxels along a side of the grid. Raises SceneError if the hull is empty.
     """
-    outlines = silhouettes(scene.train, options.mask_side)
-    mesh = Mesh(*hull_surface(carve(outlines, np.zeros(3), options.carved, resolution)))
+    silhouettes = view_silhouettes(scene.train, options.mask_side)
+    mesh = Mesh(*hull_surface(carve(silhouettes, np.zeros(3), options.carved, resolution)))
     positions, normals = _sample(mesh, count, np.random.default_rng(seed))
     return _seen_on_hull(scene.train, positions, normals, resolution, options)
 
@@ -120,20 +120,20 @@ def _without_isolated(points: PointCloud, options: StartConfig) -> PointCloud:
 
 def _surface_points(
     scene: Scene,
-    outlines: Sequence[Silhouette],
+    silhouettes: Sequence[Silhouette],
     count: int,
     seed: int,
     generator: np.random.Generator,
     progress: Callable[[float], None],
     expert: ExpertConfig,
 ) -> StartingPoints:
-    side = max(max(outline.distance.shape) for outline in outlines)
+    side = max(max(silhouette.distance.shape) for silhouette in silhouettes)
     resolution, options = expert.start.resolution, expert.start
     resolution = resolution if side >= resolution else resolution // 2  # small images have no finer detail
-    hull = carve(outlines, np.zeros(3), options.carved, resolution)
+    hull = carve(silhouettes, np.zeros(3), options.carved, resolution)
     if scene.ground is not None:
         hull = cut_at(hull, scene.ground)
-    found = find_surface(scene.train, outlines, hull, seed, progress, expert)
+    found = find_surface(scene.train, silhouettes, hull, seed, progress, expert)
     positions, normals = _sample(found.mesh, count, generator)
     shiny = found.light is not LightKind.UNKNOWN
     return replace(
@@ -149,7 +149,7 @@ def _seen_on_hull(
 ) -> StartingPoints:
     """Return starting points at positions [P,3] with normals [P,3] on the hull, with the colours that views show."""
     tolerance = options.occluding * options.carved / resolution
-    colors = seen_colors(views, positions, normals, tolerance, options.colors)
+    colors = median_colors(views, positions, normals, tolerance, options.colors)
     return StartingPoints(positions, colors, StartSource.HULL, normals)
 
 

@@ -15,7 +15,7 @@ from mgsr.data.valid_mask import valid_at
 _UNSEEN = 999
 
 
-def seen_colors(
+def median_colors(
     views: Sequence[View],
     positions: np.ndarray,
     normals: np.ndarray | None = None,
@@ -74,8 +74,8 @@ def seen_pixels(
     if view.valid_mask is not None:
         seen[seen] = valid_at(view.valid_mask, pixels[seen])
     if normals is not None:
-        towards = camera.center - positions
-        cosine = (normals * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)
+        to_camera = camera.center - positions
+        cosine = (normals * to_camera).sum(axis=1) / np.linalg.norm(to_camera, axis=1)
         seen &= cosine > min_cosine
     if tolerance is not None:
         seen &= ~_hidden(camera, pixels, depth, seen, tolerance, side)

@@ -32,7 +32,7 @@ def train_background(
     Raises Cancelled once should_stop returns True, and TrainingError if training fails.
     """
     options = config.expert.training.background
-    views = [_without_object(view, mask, options.beside) for view, mask in zip(scene.train, masks, strict=True)]
+    views = [_without_object(view, mask, options.mask_margin) for view, mask in zip(scene.train, masks, strict=True)]
     outside = ~_on_object(start.positions, scene.train, masks, options.inside)
     start = StartingPoints(start.positions[outside], start.colors[outside], start.source)
     stages = [f"warmup.gaussian_iterations={config.train.warmup.surfel_iterations}", "mutual.iterations=0"]
@@ -46,14 +46,14 @@ def train_background(
     return model
 
 
-def _without_object(view: View, mask: np.ndarray, beside: float) -> View:
+def _without_object(view: View, mask: np.ndarray, margin: float) -> View:
     """Return the view with the pixels of a mask [H,W] uint8, and those beside it, marked as invalid.
 
-    beside: width of the margin, as a share of the photograph's longer side.
+    margin: width of the margin, as a share of the photograph's longer side.
     """
     import cv2  # late: training needs no OpenCV
 
-    reach = max(1, round(beside * max(mask.shape)))
+    reach = max(1, round(margin * max(mask.shape)))
     around = cv2.dilate(mask, np.ones((2 * reach + 1,) * 2, np.uint8)) > 0
     return replace(view, valid_mask=~around if view.valid_mask is None else view.valid_mask & ~around)
 

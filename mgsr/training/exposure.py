@@ -20,6 +20,7 @@ from mgsr.config import Background, ExpertConfig
 from mgsr.config.expert import ExposureOptions
 from mgsr.data.exposure import at_common_exposure, brightness_jumps
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
+from mgsr.data.robust import robust_deviation
 from mgsr.data.scene import Exposures, Scene, View
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.parallel import one_torch_thread
@@ -56,22 +57,22 @@ def find_exposures(
         gain = exposure_gain(small, start.positions, start.normals, expert.start.exposures)
         if gain is not None and gain < options.min_gain:
             return None
-        told = point_exposures(small, tests, start.positions, start.normals, expert.start.exposures)
-        if gain is not None and told is not None:
-            return _rounded(told, len(small))
+        point_factors = point_exposures(small, tests, start.positions, start.normals, expert.start.exposures)
+        if gain is not None and point_factors is not None:
+            return _rounded(point_factors, len(small))
     with one_torch_thread():
         errors = {degree: _kept_errors(scene, start, small, degree, seed, should_stop, options) for degree in degrees}
         degree = min(degrees, key=lambda each: float(errors[each][1]))
         if errors[degree][0] - errors[degree][1] < options.min_gain:
             return None
         if degree == 0 or not scene.masked:
-            told = point_exposures(small, tests, start.positions, start.normals, expert.start.exposures)
-            if told is not None:
-                return _rounded(told, len(small))
+            point_factors = point_exposures(small, tests, start.positions, start.normals, expert.start.exposures)
+            if point_factors is not None:
+                return _rounded(point_factors, len(small))
         factors = np.ones((len(small), 3))
         for _ in range(options.rounds):
-            even = [at_common_exposure(view, factor) for view, factor in zip(small, factors, strict=True)]
-            picture = _trained(scene, start, even, degree, seed, should_stop, options)
+            corrected = [at_common_exposure(view, factor) for view, factor in zip(small, factors, strict=True)]
+            picture = _trained(scene, start, corrected, degree, seed, should_stop, options)
             factors = np.stack([_factor(view, picture(view), options) for view in small])
             mean = np.exp(np.log(factors).mean(axis=0))
             factors /= mean
@@ -147,13 +148,13 @@ def _errors(view: View, rendered: np.ndarray, options: ExposureOptions) -> tuple
     left = columns < np.median(columns[usable])
     before, after = 0.0, 0.0
     for half in (left, ~left):
-        wanted = view.image[usable & half] / 255.0
+        target = view.image[usable & half] / 255.0
         factor = _fitted(view, rendered, usable & ~half, options)
-        if not len(wanted) or factor is None:
+        if not len(target) or factor is None:
             return 0.0, 0.0
         there = rendered[usable & half]
-        before += float(np.square(wanted - linear_to_srgb(there)).mean())
-        after += float(np.square(wanted - linear_to_srgb(np.clip(there * factor, 0, 1))).mean())
+        before += float(np.square(target - linear_to_srgb(there)).mean())
+        after += float(np.square(target - linear_to_srgb(np.clip(there * factor, 0, 1))).mean())
     return 10 * float(np.log10(max(before, 1e-9))), 10 * float(np.log10(max(after, 1e-9)))
 
 
@@ -179,21 +180,21 @@ def _fitted(view: View, rendered: np.ndarray, usable: np.ndarray, options: Expos
     """
     factor = np.ones(3)
     for channel in range(3):
-        wanted = srgb_to_linear(view.image[..., channel][usable] / 255.0)
+        target = srgb_to_linear(view.image[..., channel][usable] / 255.0)
         there = rendered[..., channel][usable]
         bright = there > options.faint * np.median(there) if len(there) else np.zeros(0, bool)
         if bright.sum() < options.min_pixels:
             return None
-        wanted, there = wanted[bright], there[bright]
-        found = float(np.median(wanted) / np.median(there))
+        target, there = target[bright], there[bright]
+        found = float(np.median(target) / np.median(there))
         for _ in range(8):
             if found <= 0:
                 return None
-            error = wanted / (found * there) - 1
-            spread = max(1.4826 * float(np.median(np.abs(error))), 1e-3)
+            error = target / (found * there) - 1
+            spread = max(robust_deviation(error), 1e-3)
             weight = np.minimum(1, 1.5 * spread / np.maximum(np.abs(error), 1e-9)) * (found * there < options.white)
             if not weight.any():
                 return None
-            found = float((weight * wanted / there).sum() / weight.sum())
+            found = float((weight * target / there).sum() / weight.sum())
         factor[channel] = found
     return factor

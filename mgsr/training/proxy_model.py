@@ -14,7 +14,7 @@ from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene, View
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.start.points import StartingPoints
-from mgsr.start.view_colors import seen_colors
+from mgsr.start.view_colors import median_colors
 from mgsr.training.plan import Plan
 from mgsr.training.stages import Stage, Step, gaussians_alone
 from mgsr.training.train_state import make_train_state, seeded
@@ -76,4 +76,4 @@ def _few(start: StartingPoints, views: Sequence[View], seed: int, count: int) ->
     rows = np.sort(np.random.default_rng(seed).permutation(len(start.positions))[:count])
     positions = start.positions[rows]
     normals = None if start.normals is None else start.normals[rows]
-    return StartingPoints(positions, seen_colors(views, positions, normals), start.source, normals)
+    return StartingPoints(positions, median_colors(views, positions, normals), start.source, normals)

@@ -37,7 +37,7 @@ KEPT_NORMALS = 256 * 2**20  # bytes
 
 
 @dataclass(frozen=True)
-class Seen:
+class RenderStats:
     """What densification needs of one render: its branch, its screen-space figures and its weight in the loss."""
 
     branch: Branch[Any]
@@ -50,7 +50,7 @@ class Step:
     """One iteration's loss, and what densification needs of its renders."""
 
     loss: Loss
-    seen: list[Seen]
+    renders: list[RenderStats]
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> C
         behind = color_tensor(background, branch.device)
         outputs = _see_surfels(branch, view, behind, degree, config)
         terms = surfel_terms(outputs, view.target(behind), config, regularised)
-        return Step(total(terms), [Seen(branch, outputs.stats, 1.0)])
+        return Step(total(terms), [RenderStats(branch, outputs.stats, 1.0)])
 
     return compute
 
@@ -234,7 +234,7 @@ def gaussians_alone(
         behind = color_tensor(background, branch.device)
         outputs = _see_gaussians(branch, view, behind, degree, refl_degree, needs_depth, shown)
         terms = gaussian_terms(outputs, view.target(behind), config) | held
-        return Step(total(terms), [Seen(branch, outputs.stats, 1.0)])
+        return Step(total(terms), [RenderStats(branch, outputs.stats, 1.0)])
 
     return compute
 
@@ -265,8 +265,8 @@ def both_teach(
         full = _see_gaussians(gaussians, view, behind, *degrees, True, shown)
         terms = mutual_terms(flat, full, view.target(behind), config) | held
         seen = [
-            Seen(surfels, flat.stats, config.mutual.surfel_weight),
-            Seen(gaussians, full.stats, config.mutual.gaussian_weight),
+            RenderStats(surfels, flat.stats, config.mutual.surfel_weight),
+            RenderStats(gaussians, full.stats, config.mutual.gaussian_weight),
         ]
         return Step(total(terms), [item for item in seen if item.weight > 0])
 

@@ -213,9 +213,9 @@ class Trainer:
             first, last = stage.window(branch.densify)
             if not stage.iteration <= last:
                 continue
-            for seen in step.seen:
-                if seen.branch is branch:
-                    branch.gather(seen.stats, width, height, seen.weight, guard.bad)
+            for render in step.renders:
+                if render.branch is branch:
+                    branch.gather(render.stats, width, height, render.weight, guard.bad)
             if stage.iteration % branch.densify.every == 0 and stage.iteration >= first:
                 stage.adapt(branch)
             reset = branch.densify.reset_every

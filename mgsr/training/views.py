@@ -102,10 +102,10 @@ def _prepared(
     region = None if margin is None else bounding_region(alpha, margin)
     off_edge = None
     if edge_band:
-        off_edge = torch.from_numpy(store.hold(off_outline(mask, edge_band, view.valid_mask).numpy()))
+        off_edge = torch.from_numpy(store.hold(away_from_contour(mask, edge_band, view.valid_mask).numpy()))
     off_edge_sum = None if off_edge is None else float(off_edge.sum())
-    outline = (_moved(alpha, device), region, None if off_edge is None else off_edge.to(device), covered.to(device))
-    return TrainingView(view.name, view.camera, image, *outline, invalid, irradiance, off_edge_sum)
+    mask_parts = (_moved(alpha, device), region, None if off_edge is None else off_edge.to(device), covered.to(device))
+    return TrainingView(view.name, view.camera, image, *mask_parts, invalid, irradiance, off_edge_sum)
 
 
 def _held(view: View, store: PixelStore) -> View:
@@ -138,7 +138,7 @@ def _reduced(view: View, by: int) -> View:
     return averaged(view, camera, mean)
 
 
-def off_outline(mask: Tensor, band: int, valid: np.ndarray | None = None) -> Tensor:
+def away_from_contour(mask: Tensor, band: int, valid: np.ndarray | None = None) -> Tensor:
     """Return the pixels [H,W] bool that lie farther than `band` pixels from the contour of a mask [H,W] uint8.
 
     The contour is where the mask is half covered; diagonals count as one pixel. No contour passes between a valid pixel

@@ -64,7 +64,7 @@ def _in_loop(tell: Progress) -> Callable[[int, int], None]:
     """Return a function for other threads that has the event loop tell of progress."""
     loop = asyncio.get_running_loop()
 
-    def told(done: int, total: int) -> None:
+    def report(done: int, total: int) -> None:
         loop.call_soon_threadsafe(tell, done, total)
 
-    return told
+    return report

@@ -119,13 +119,13 @@ def _sent(job: Job, client: Client, server: str, out: Path | None, console: Cons
 
 def _wait(client: Client, job: str, out: Path, console: Console) -> int:
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f}%"))
-    said, told = "", False
+    said, shown = "", False
     with Progress(*columns, TextColumn("{task.fields[detail]}"), console=console) as bar:
         task = bar.add_task("queued", total=1.0, detail="")
         for now in client.follow(job):
             bar.update(task, description=_place(now), completed=now["progress"], detail=_detail(now))
-            if now.get("findings") is not None and not told:
-                told = True
+            if now.get("findings") is not None and not shown:
+                shown = True
                 for finding in now["findings"]:
                     console.print(_finding_line(finding), soft_wrap=True, markup=False)
             if not console.is_terminal and (line := _place(now)) != said:

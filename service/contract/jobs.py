@@ -101,7 +101,7 @@ class Jobs:
         found = [name.partition(".") for name in self.store.names("webhooks")]
         return [(job, int(number)) for job, _, number in found]
 
-    def told(self, job: str, number: int) -> None:
+    def mark_notified(self, job: str, number: int) -> None:
         """Note that the owner knows of a round's end, or can't be told."""
         self.store.delete(f"webhooks/{job}.{number}")
 
@@ -194,7 +194,7 @@ class Jobs:
         self.store.delete_all(_path(record.id, "attempts"))
         for job, number in self.untold_rounds():
             if job == record.id:
-                self.told(job, number)
+                self.mark_notified(job, number)
         self.store.delete(_index_path(record))
         self.store.delete(_path(record.id, "job.json"))
         self.store.delete_all(f"jobs/{record.id}")

@@ -10,8 +10,8 @@ import numpy as np
 
 from mgsr.budget import costs
 from mgsr.budget.budget import TimeBudget
-from mgsr.budget.costs import Facts
 from mgsr.config import Config, MeshConfig, starting_settings
+from mgsr.data.cost_factors import CostFactors
 from mgsr.training.stage_scheduler import FINISH
 
 Speed = Callable[[float], float]  # how many times slower than the reference machine, at a time
@@ -83,45 +83,45 @@ class Ran:
     room: int
 
 
-def run_on(machine: Machine, facts: Facts, config: Config, seconds: float) -> Ran:
+def run_on(machine: Machine, factors: CostFactors, config: Config, seconds: float) -> Ran:
     """Take the steps of `mgsr.pipeline.run.run_scene`, in its order, as far as the budget sees them."""
     budget = TimeBudget(replace(config, time_budget=seconds), lambda: machine.now)
     machine.now += 0.5 * machine.speed(0.0)  # imports
-    budget.learn(costs.load_cost(facts), machine.work("load", costs.load_cost(facts)))
-    scale = budget.choose_scale(facts)
-    facts = replace(facts, pixels=facts.pixels * scale**2)
-    start = costs.start_cost(facts, budget.stereo_pixels)
+    budget.learn(costs.load_cost(factors), machine.work("load", costs.load_cost(factors)))
+    scale = budget.choose_scale(factors)
+    factors = replace(factors, pixels=factors.pixels * scale**2)
+    start = costs.start_cost(factors, budget.stereo_pixels)
     budget.learn(start, machine.work("start", start))
     splats = {"surfels": config.train.surfels.max_start, "gaussians": config.train.gaussians.max_start}
     names = ("warmup_surfels", "warmup_gaussians", "mutual")
-    once = {name: machine.work(name, costs.iteration_cost(name, facts, splats)) for name in names}
-    budget.choose_place(facts, once, splats)
+    once = {name: machine.work(name, costs.iteration_cost(name, factors, splats)) for name in names}
+    budget.choose_place(factors, once, splats)
     train = budget.settings.train
     lengths = (train.warmup.surfel_iterations, train.warmup.gaussian_iterations, train.mutual.iterations)
     stages = [*(Stage(*pair) for pair in zip(names, lengths, strict=True)), Stage(FINISH, 0)]
     full = {
-        "surfels": starting_settings(train, facts.masked, costs.usual_points(facts, config))[0].densify.max_count,
-        "gaussians": costs.usual_count(train.gaussians.max_start, facts),
+        "surfels": starting_settings(train, factors.masked, costs.usual_points(factors, config))[0].densify.max_count,
+        "gaussians": costs.usual_count(train.gaussians.max_start, factors),
     }
     for index in range(3):
-        _run_stage(machine, budget, stages, index, facts, full)
+        _run_stage(machine, budget, stages, index, factors, full)
     mesh = budget.mesh_settings()
-    surface = machine.work("mesh", costs.surface_cost(facts, mesh))
-    rounds = 15 if facts.flash else 4  # that the steps of `mgsr.mesh.steps` ask for
+    surface = machine.work("mesh", costs.surface_cost(factors, mesh))
+    rounds = 15 if factors.flash else 4  # that the steps of `mgsr.mesh.steps` ask for
     done = 0
     while mesh.max_light_residual is not None and done < rounds and budget.go_on():
-        surface += machine.work("mesh", costs.refinement_cost(facts, mesh) / rounds)
+        surface += machine.work("mesh", costs.refinement_cost(factors, mesh) / rounds)
         done += 1
-    judging = machine.work("evaluate", costs.judging_cost(facts))
+    judging = machine.work("evaluate", costs.judging_cost(factors))
     budget.learn_surface(surface, judging)
     room = budget.room(full)
-    _run_stage(machine, budget, stages, 3, facts, full)
-    machine.work("report", costs.closing_cost(facts))
+    _run_stage(machine, budget, stages, 3, factors, full)
+    machine.work("report", costs.closing_cost(factors))
     return Ran(machine.now, budget, stages, mesh, done / rounds, room)
 
 
 def _run_stage(
-    machine: Machine, budget: TimeBudget, stages: list[Stage], index: int, facts: Facts, splats: dict[str, int]
+    machine: Machine, budget: TimeBudget, stages: list[Stage], index: int, factors: CostFactors, splats: dict[str, int]
 ) -> None:
     stage = stages[index]
     stage.iterations = budget.length(stages, index, splats)
@@ -129,7 +129,7 @@ def _run_stage(
         # The budget looks at the clock after as many only, unless the stage is about to end.
         period = budget.options.period
         at_once = period if stage.iterations - stage.iteration > 2 * period else 1
-        machine.work(stage.name, at_once * costs.iteration_cost(stage.name, facts, splats))
+        machine.work(stage.name, at_once * costs.iteration_cost(stage.name, factors, splats))
         stage.iteration += at_once
         if stage.iteration < stage.iterations:
             stage.iterations = budget.length(stages, index, splats)

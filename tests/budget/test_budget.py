@@ -9,30 +9,30 @@ import numpy as np
 import pytest
 
 from mgsr.budget.budget import TimeBudget
-from mgsr.budget.costs import Facts
 from mgsr.config import make_config
 from mgsr.config.expert import BudgetOptions
+from mgsr.data.cost_factors import CostFactors
 from tests.budget.machine import Machine, Speed, run_on, steady, stepped, wavy
 from tests.optional import present
 
-USUAL = Facts(views=48, tests=8, pixels=256 * 256, truth=True, shiny=True)
+USUAL = CostFactors(views=48, tests=8, pixels=256 * 256, truth=True, shiny=True)
 CONFIG = make_config()
 LOWEST, HIGHEST = BudgetOptions().lowest, BudgetOptions().highest
 STEPS = ("start", "mesh", "evaluate", "report", "warmup_surfels", "warmup_gaussians", "mutual", "finish")
 
 
-def any_scene(random: np.random.Generator) -> tuple[Facts, dict[str, float]]:
+def any_scene(random: np.random.Generator) -> tuple[CostFactors, dict[str, float]]:
     """Return a scene, and by how much its steps cost more or less than is usual: up to half on real ones."""
     side = float(random.choice([64, 128, 256, 800]))
     views, tests = int(random.integers(10, 100)), int(random.integers(0, 12))
     truth, shiny, flash = (bool(random.random() < 0.5) for _ in range(3))
-    facts = Facts(views, tests, side**2, truth, shiny, flash=shiny and flash)
-    return facts, {step: float(random.uniform(0.65, 1.5)) for step in STEPS}
+    factors = CostFactors(views, tests, side**2, truth, shiny, flash=shiny and flash)
+    return factors, {step: float(random.uniform(0.65, 1.5)) for step in STEPS}
 
 
-def least(facts: Facts, odd: dict[str, float], slowness: float) -> float:
+def least(factors: CostFactors, odd: dict[str, float], slowness: float) -> float:
     """Return the seconds of the cheapest run there is on a machine that is always so slow."""
-    return run_on(Machine(steady(slowness), odd), facts, CONFIG, 1.0).seconds
+    return run_on(Machine(steady(slowness), odd), factors, CONFIG, 1.0).seconds
 
 
 def speeds(slowness: float, seconds: float, kind: str) -> Speed:
@@ -50,12 +50,12 @@ def speeds(slowness: float, seconds: float, kind: str) -> Speed:
 @pytest.mark.parametrize("seed", range(12))
 def test_a_run_ends_near_its_budget(seed: int, times: float) -> None:
     random = np.random.default_rng(seed)
-    facts, odd = any_scene(random)
+    factors, odd = any_scene(random)
     slowness = float(np.exp(random.uniform(-1.4, 1.4)))
     kind = ("steady", "waves", "later slower", "later faster")[seed % 4]
-    seconds = times * least(facts, odd, slowness)
-    ran = run_on(Machine(speeds(slowness, seconds, kind), odd), facts, CONFIG, seconds)
-    assert 0.9 <= ran.seconds / seconds <= 1.05, (facts, odd, slowness, kind, ran)
+    seconds = times * least(factors, odd, slowness)
+    ran = run_on(Machine(speeds(slowness, seconds, kind), odd), factors, CONFIG, seconds)
+    assert 0.9 <= ran.seconds / seconds <= 1.05, (factors, odd, slowness, kind, ran)
 
 
 def test_more_time_gives_more_of_all() -> None:
@@ -86,7 +86,7 @@ def test_the_last_stage_gets_the_iterations_that_were_expected(seconds: float, l
 
 
 def test_large_photographs_are_made_smaller_only_where_time_is_short() -> None:
-    large = Facts(views=60, tests=8, pixels=1200.0 * 1600, truth=False)
+    large = CostFactors(views=60, tests=8, pixels=1200.0 * 1600, truth=False)
     scales = [present(run_on(Machine(steady(1.0)), large, CONFIG, seconds).budget.scale) for seconds in (60, 400, 5000)]
     assert scales[0] < scales[1] <= scales[2] == 1.0
     assert run_on(Machine(steady(1.0)), USUAL, CONFIG, 120.0).budget.scale == 1.0
@@ -138,18 +138,18 @@ def test_the_surface_gets_cheaper_where_the_run_is_late() -> None:
 
 
 def test_the_surface_is_refined_in_fewer_rounds_where_the_run_is_late() -> None:
-    facts, seconds = replace(USUAL, flash=True), 300.0
-    planned = run_on(Machine(steady(1.0)), facts, CONFIG, seconds)
-    late = run_on(Machine(stepped(1.0, 0.5 * seconds, 2.0)), facts, CONFIG, seconds)
+    factors, seconds = replace(USUAL, flash=True), 300.0
+    planned = run_on(Machine(steady(1.0)), factors, CONFIG, seconds)
+    late = run_on(Machine(stepped(1.0, 0.5 * seconds, 2.0)), factors, CONFIG, seconds)
     assert planned.refined == 1 and 0 < late.refined < 1
     assert late.mesh == late.budget.settings.mesh and late.seconds <= 1.05 * seconds
 
 
 @pytest.mark.parametrize("seconds", [80.0, 110.0, 130.0, 180.0])
 def test_under_a_flash_refining_the_surface_comes_before_longer_training(seconds: float) -> None:
-    facts = replace(USUAL, flash=True)
-    ran = run_on(Machine(steady(1.0)), facts, CONFIG, seconds)
-    whole = run_on(Machine(steady(1.0)), facts, CONFIG, 2 * seconds)
+    factors = replace(USUAL, flash=True)
+    ran = run_on(Machine(steady(1.0)), factors, CONFIG, seconds)
+    whole = run_on(Machine(steady(1.0)), factors, CONFIG, 2 * seconds)
     assert 0.9 <= ran.seconds / seconds <= 1.05
     assert ran.mesh.max_light_residual is not None and 0.25 < ran.refined <= whole.refined
     if ran.refined < 1:
@@ -158,6 +158,6 @@ def test_under_a_flash_refining_the_surface_comes_before_longer_training(seconds
 
 
 def test_a_refinement_that_could_hardly_begin_is_left_out() -> None:
-    facts = replace(USUAL, flash=True)
-    ran = run_on(Machine(steady(1.0)), facts, CONFIG, 54.0)
+    factors = replace(USUAL, flash=True)
+    ran = run_on(Machine(steady(1.0)), factors, CONFIG, 54.0)
     assert ran.refined == 0 and ran.mesh.max_light_residual is None and 0.9 <= ran.seconds / 54.0 <= 1.05

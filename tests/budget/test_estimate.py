@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from mgsr.budget.costs import Facts, textured_cost
+from mgsr.budget.costs import textured_cost
 from mgsr.budget.estimate import Estimate, Speed, estimate_run
 from mgsr.config import PRESETS, Config, make_config
+from mgsr.data.cost_factors import CostFactors
 from mgsr.data.readers import load_scene
 from mgsr.errors import ConfigError
 from mgsr.pipeline import estimate
@@ -30,13 +31,13 @@ def measured() -> list[dict[str, str]]:
     return [row for row in rows if row["scene"] in SCENES and kind.items() <= row.items()]
 
 
-def facts_of(row: dict[str, str]) -> Facts:
+def cost_factors(row: dict[str, str]) -> CostFactors:
     views, tests, side = SCENES[row["scene"]]
-    return Facts(views, tests, side * side, truth=True, flash=row["scene"] == "bunny_flash")
+    return CostFactors(views, tests, side * side, truth=True, flash=row["scene"] == "bunny_flash")
 
 
 def estimated(row: dict[str, str]) -> Estimate:
-    return estimate_run(row["preset"], facts_of(row), make_config(row["preset"]), Speed(1.0, 1.0), {})
+    return estimate_run(row["preset"], cost_factors(row), make_config(row["preset"]), Speed(1.0, 1.0), {})
 
 
 def test_there_are_runs_to_compare_with() -> None:
@@ -56,7 +57,7 @@ def test_seconds_are_in_proportion_to_those_of_measured_runs() -> None:
     ratios: dict[str, list[float]] = {}
     for row in measured():
         ratios.setdefault(row["commit"], []).append(
-            (estimated(row).seconds - textured_cost(facts_of(row))) / float(row["seconds"])
+            (estimated(row).seconds - textured_cost(cost_factors(row))) / float(row["seconds"])
         )
     assert sum(len(found) for found in ratios.values() if len(found) > 2) > 15
     assert all(max(found) / min(found) < 1.95 for found in ratios.values())
@@ -102,11 +103,11 @@ def test_settings_of_the_caller_stay_at_each_preset(tmp_path: Path) -> None:
 def test_an_estimate_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, out = write_spheres(tmp_path / "spheres", size=32, train=8, test=1), tmp_path / "out"
     out.mkdir()
-    told: list[str] = []
-    path = estimate.write_estimate(folder, out, make_config(), "cpu", lambda event: told.append(event.text))
+    reported: list[str] = []
+    path = estimate.write_estimate(folder, out, make_config(), "cpu", lambda event: reported.append(event.text))
     from worker.publish import findings, headline
 
     assert path == out / "estimate.json"
     assert [each["preset"] for each in headline(out)["estimate"]] == list(PRESETS)
     assert {"code", "severity", "cure"} <= set((findings(out) or [{"code": 1, "severity": 1, "cure": 1}])[0])
-    assert any(text.startswith("standard") and "GiB" in text for text in told)
+    assert any(text.startswith("standard") and "GiB" in text for text in reported)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from mgsr.budget.line import SettingsLine, value_at
+from mgsr.budget.line import SettingsLine, interpolated
 from mgsr.config import METHODS, PRESETS, make_config
 from mgsr.config.expert import BudgetOptions
 
@@ -42,9 +42,9 @@ def test_it_rises() -> None:
 
 
 def test_between_two_numbers_lies_their_mean_in_ratio() -> None:
-    assert value_at([100, 400, 400], 0.5) == 200
-    assert value_at([1.0, 4.0, 9.0], 1.5) == pytest.approx(6.0)
-    assert value_at([100, 200, 400], -1.0) == 50
-    assert [value_at([None, 0.85, 0.85], place) for place in (-0.5, 0.0, 0.01, 0.4)] == [None, None, 0.85, 0.85]
-    assert [value_at([0, 150, 150], place) for place in (0.4, 0.6, 1.0)] == [0, 150, 150]
-    assert value_at([None, 0.85, 0.85], 1.7) == 0.85
+    assert interpolated([100, 400, 400], 0.5) == 200
+    assert interpolated([1.0, 4.0, 9.0], 1.5) == pytest.approx(6.0)
+    assert interpolated([100, 200, 400], -1.0) == 50
+    assert [interpolated([None, 0.85, 0.85], place) for place in (-0.5, 0.0, 0.01, 0.4)] == [None, None, 0.85, 0.85]
+    assert [interpolated([0, 150, 150], place) for place in (0.4, 0.6, 1.0)] == [0, 150, 150]
+    assert interpolated([None, 0.85, 0.85], 1.7) == 0.85

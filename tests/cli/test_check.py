@@ -54,11 +54,11 @@ def test_contradictory_photographs_are_left_out_where_that_is_asked_for(
 ) -> None:
     found = wrong("r_1", "r_4", "test/r_1")
     monkeypatch.setattr(scene_check, "inspect_scene", lambda scene, progress, options: found)
-    told: list[Event] = []
+    reported: list[Event] = []
     config = make_config(overrides=[f"flawed={flawed}"])
-    checked = check_scene(load_scene(capture), config, Steps(StepClock(), told.append, lambda: False))
+    checked = check_scene(load_scene(capture), config, Steps(StepClock(), reported.append, lambda: False))
     assert len(checked.scene.train) == left and len(checked.scene.test) == (2 if left == 10 else 1)
-    assert [event.inspection for event in told if event.inspection] == [checked.inspection]
+    assert [event.inspection for event in reported if event.inspection] == [checked.inspection]
     assert any("left out" in note for note in checked.scene.notes) == (flawed == "drop")
 
 

@@ -58,8 +58,8 @@ def test_they_are_brought_to_one_and_the_report_says_so(scene: Path, done: Path,
     factors = json.loads((done / "exposures.json").read_text())
     for split in ("train", "test"):
         assert list(factors[split]) == report["input"][f"{split}_views"]
-    told = next(each for each in report["decisions"] if each["what"] == "Exposures")
-    assert "by a factor of up to" in told["choice"] and "exposures differ" in (done / "log.txt").read_text()
+    reported = next(each for each in report["decisions"] if each["what"] == "Exposures")
+    assert "by a factor of up to" in reported["choice"] and "exposures differ" in (done / "log.txt").read_text()
     kept = run(scene, tmp_path / "kept", "--set", "exposure=keep")
     assert not (tmp_path / "kept" / "exposures.json").exists() and "exposures" not in kept["input"]
     assert report["psnr_fg_test"] > kept["psnr_fg_test"] + 1

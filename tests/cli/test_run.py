@@ -207,8 +207,8 @@ def test_info_of_photographs_without_cameras_searches_for_none(tmp_path: Path) -
         draw(tmp_path / f"vase/{number}.png")
     result = CliRunner().invoke(app, ["info", str(tmp_path / "vase")])
     assert result.exit_code == 0, result.output
-    told = dict(line.split(maxsplit=1) for line in result.output.splitlines())
-    assert (told["format"], told["files"], told["cameras"][:4]) == ("photographs", "4", "none")
+    reported = dict(line.split(maxsplit=1) for line in result.output.splitlines())
+    assert (reported["format"], reported["files"], reported["cameras"][:4]) == ("photographs", "4", "none")
 
 
 def test_info_tells_what_was_read(scene: Path) -> None:

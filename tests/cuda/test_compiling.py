@@ -102,8 +102,10 @@ def test_without_a_usable_cache_it_compiles(tmp_path: Path, caplog: pytest.LogCa
     (tmp_path / "file").write_text("")
     for _ in range(2):
         assert compile_family("adam", "sm_90", tmp_path / "file" / "cache")[:4] == b"\x7fELF"
-    (told,) = caplog.messages
-    assert str(tmp_path / "file" / "cache") in told and "Not a directory" in told and "MGSR_CUDA_CACHE" in told
+    (reported,) = caplog.messages
+    assert (
+        str(tmp_path / "file" / "cache") in reported and "Not a directory" in reported and "MGSR_CUDA_CACHE" in reported
+    )
 
 
 def test_a_user_without_a_home_has_no_cache(monkeypatch: pytest.MonkeyPatch) -> None:

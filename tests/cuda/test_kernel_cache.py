@@ -105,8 +105,8 @@ def test_a_folder_that_can_not_be_written_is_told_of_once(
     for key in (b"first", b"second"):
         kernel_cache(tmp_path).put(key, CODE)
         assert kernel_cache(tmp_path).get(key) is None
-    (told,) = caplog.messages
-    assert str(tmp_path) in told and os.strerror(code) in told and "MGSR_CUDA_CACHE" in told
+    (reported,) = caplog.messages
+    assert str(tmp_path) in reported and os.strerror(code) in reported and "MGSR_CUDA_CACHE" in reported
     assert kept.get(b"before") == CODE
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mgsr.data.exposure import at_common_exposure, brightness_jumps, evened
+from mgsr.data.exposure import at_common_exposure, brightness_jumps, with_exposures
 from mgsr.data.scene import Exposures, View
 from tests.training.ball import ball_scene
 
@@ -40,7 +40,7 @@ def test_what_an_exposure_did_is_undone(factor: tuple[float, float, float]) -> N
 
 def test_a_factor_of_one_changes_nothing() -> None:
     scene = ball_scene(size=24, train=4)
-    same = evened(scene, Exposures(np.ones((len(scene.train), 3)), np.ones((len(scene.test), 3))))
+    same = with_exposures(scene, Exposures(np.ones((len(scene.train), 3)), np.ones((len(scene.test), 3))))
     assert all(a is b for a, b in zip([*same.train, *same.test], [*scene.train, *scene.test], strict=True))
 
 

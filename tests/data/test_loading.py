@@ -212,10 +212,10 @@ def test_progress_comes_while_photographs_load(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(loading, "_REPORT_EVERY", -1)
     for i in range(5):
         Image.new("RGB", (60, 40)).save(tmp_path / f"{i}.png")
-    told = []
+    reported = []
     photos = [photo(tmp_path / f"{i}.png") for i in range(5)]
-    load_views(photos, "abcde", DataConfig(), lambda done, total: told.append((done, total)))
-    assert told == [(i, 5) for i in range(1, 6)]
+    load_views(photos, "abcde", DataConfig(), lambda done, total: reported.append((done, total)))
+    assert reported == [(i, 5) for i in range(1, 6)]
 
 
 def test_a_bad_photograph_is_told_of_and_loses_no_other(tmp_path: Path) -> None:

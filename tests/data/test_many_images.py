@@ -65,13 +65,13 @@ def test_a_thousand_photographs_in_bounded_memory(tmp_path: Path, monkeypatch: p
     photos = [Photo(image, K, (WIDTH, HEIGHT), np.eye(4), image.name) for image in images]
     monkeypatch.setattr(loading, "PixelStore", lambda: PixelStore(memory=MEMORY))
     monkeypatch.setattr(loading, "_REPORT_EVERY", 0.0)
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     with most_memory() as most:
         loaded = load_views(
-            photos, [image.stem for image in images], DataConfig(max_side=4000), lambda *now: told.append(now)
+            photos, [image.stem for image in images], DataConfig(max_side=4000), lambda *now: reported.append(now)
         )
     assert most[0] < MEMORY + IN_WORK < COUNT * WIDTH * HEIGHT * 3 / 4
-    assert told == [(number, COUNT) for number in range(1, COUNT + 1)]
+    assert reported == [(number, COUNT) for number in range(1, COUNT + 1)]
     views = [item.view for item in loaded if isinstance(item, LoadedView)]
     assert [view.name for view in views] == [image.stem for image in images]
     for place in (0, COUNT // 2, -1):

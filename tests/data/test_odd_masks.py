@@ -12,7 +12,7 @@ from mgsr.config.expert import OddMaskOptions
 from mgsr.data.camera import Camera
 from mgsr.data.odd_masks import left_out_shares
 from mgsr.data.scene import View
-from mgsr.data.silhouettes import silhouettes
+from mgsr.data.silhouettes import view_silhouettes
 from tests.data.captures import look_at
 
 SIDE = 128
@@ -37,7 +37,7 @@ def plate() -> list[View]:
 
 
 def shares(views: list[View], options: OddMaskOptions = OddMaskOptions()) -> np.ndarray:
-    return left_out_shares(views, silhouettes(views, SIDE), 0.3, options)
+    return left_out_shares(views, view_silhouettes(views, SIDE), 0.3, options)
 
 
 def test_a_view_along_a_plate_contradicts_nobody(plate: list[View]) -> None:

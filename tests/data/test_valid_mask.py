@@ -13,7 +13,7 @@ from mgsr.data.images import reduce_area
 from mgsr.data.loading import reduced_view
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import View
-from mgsr.data.silhouettes import signed_distance, silhouettes
+from mgsr.data.silhouettes import signed_distance, view_silhouettes
 from mgsr.data.valid_mask import filled, largest_rectangle, valid_inside, valid_mean, whole_part
 from mgsr.export.scenes import write_scene
 from mgsr.geometry.contours import find_contour
@@ -56,7 +56,7 @@ def test_distances_without_any_known_outline(inside: float) -> None:
 
 
 def test_outlines_end_where_the_known_part_ends() -> None:
-    (silhouette,) = silhouettes([view()], 100)
+    (silhouette,) = view_silhouettes([view()], 100)
     points = find_contour(silhouette).points
     assert len(points) > 20
     assert ((points > [7, 5]) & (points < [49, 39])).all()

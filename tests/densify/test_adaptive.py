@@ -36,7 +36,7 @@ def test_each_splat_meets_its_fate() -> None:
     parameters["log_scales"][2] = 0.0  # large and hot: split
     parameters["opacity_logits"][3] = -5.0  # faint: pruned, however hot
     change = adapt(parameters, state_of([0.0, 2.0, 2.0, 2.0]), CONFIG, 1.0, seeded())
-    assert (change.cloned, change.split, change.pruned) == (1, 1, 1)
+    assert (change.cloned, change.split) == (1, 1)
     assert change.kept.tolist() == [0, 1]
     assert torch.equal(change.added["means"][0], parameters["means"][1])
     assert len(change.added["means"]) == 3

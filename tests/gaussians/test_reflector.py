@@ -93,16 +93,16 @@ def test_a_corner_throws_the_sight_on_where_it_meets_itself() -> None:
             length = -camera.center[axis] / ray[axis]
             place = camera.center + length * ray
             if length > 0 and 0 < place[other] < SIZE and abs(place[1]) < 1:
-                thrown = ray.copy()
-                thrown[axis] *= -1
-                onward = -place[other] / thrown[other]
-                again = place + onward * thrown
+                reflected = ray.copy()
+                reflected[axis] *= -1
+                onward = -place[other] / reflected[other]
+                again = place + onward * reflected
                 hits.append((length, onward > 0 and 0 < again[axis] < SIZE and abs(again[1]) < 1))
         expected[pixel] = bool(hits) and min(hits)[1]
     assert expected.sum() > 50 and (twice == expected).mean() > 0.98
     normals = seen.normals.numpy().reshape(-1, 3).astype(float)[twice]
-    thrown = 2 * (normals * -rays[twice]).sum(axis=1, keepdims=True) * normals + rays[twice]
-    assert np.abs(thrown - rays[twice] * [-1, 1, -1]).max() < 5e-3
+    reflected = 2 * (normals * -rays[twice]).sum(axis=1, keepdims=True) * normals + rays[twice]
+    assert np.abs(reflected - rays[twice] * [-1, 1, -1]).max() < 5e-3
 
 
 def test_what_a_camera_sees_is_kept_while_there_is_room(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from mgsr.losses.objective import (
     depth_unit,
     gaussian_terms,
     mutual_terms,
-    silhouette,
+    silhouette_loss,
     surfel_terms,
     total,
 )
@@ -90,8 +90,8 @@ def test_normals_of_a_tilted_plane_agree_with_its_depth() -> None:
 def test_silhouettes(kind: AlphaLoss) -> None:
     mask = torch.zeros(4, 4)
     mask[:2] = 1
-    assert float(silhouette(mask, mask, kind)) < 1e-3
-    assert float(silhouette(1 - mask, mask, kind)) > 0.9
+    assert float(silhouette_loss(mask, mask, kind)) < 1e-3
+    assert float(silhouette_loss(1 - mask, mask, kind)) > 0.9
 
 
 def test_a_term_without_weight_is_not_computed() -> None:

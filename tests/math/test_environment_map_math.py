@@ -27,8 +27,8 @@ def test_places_are_where_householder_reflects_the_ray() -> None:
     seen: set[tuple[float, ...]] = set()
     for normal, ray in cases():
         unit = TURN @ normal / np.linalg.norm(normal)
-        thrown = (np.eye(3) - 2 * np.outer(unit, unit)) @ [*ray, 1.0]
-        world, held = TURN.T @ thrown, thrown * [1, 1, -1]
+        reflected = (np.eye(3) - 2 * np.outer(unit, unit)) @ [*ray, 1.0]
+        world, held = TURN.T @ reflected, reflected * [1, 1, -1]
         expected = oracle.octahedral(torch.tensor(np.stack([world, held], axis=1))).numpy().ravel()
         np.testing.assert_allclose(places(normal, ray)[0], expected, atol=1e-12)
         seen.update(((which, *(direction < 0)) for which, direction in enumerate((world, held))))

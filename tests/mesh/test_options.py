@@ -11,7 +11,7 @@ import pytest
 from mgsr.config import ExpertConfig, MeshConfig, OutputConfig, make_config
 from mgsr.config.expert import ColorOptions, MeshOptions
 from mgsr.geometry.mesh import Mesh
-from mgsr.mesh.colors import seen_colors
+from mgsr.mesh.colors import blended_colors
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.poisson import cell_size
 from mgsr.mesh.steps import mesh_steps
@@ -43,8 +43,8 @@ def test_colors_far_from_the_mean_count_less(views: list[SurfaceView], mesh: Mes
     green = replace(views[0], color=np.broadcast_to(np.array([0, 1, 0], np.float32), views[0].color.shape))
 
     def off(options: ColorOptions) -> float:
-        colors, _ = seen_colors(mesh.vertices, mesh.normals, [green, *views[1:]], 0.5, 3.0, options=options)
-        usual, _ = seen_colors(mesh.vertices, mesh.normals, views, 0.5, 3.0)
+        colors, _ = blended_colors(mesh.vertices, mesh.normals, [green, *views[1:]], 0.5, 3.0, options=options)
+        usual, _ = blended_colors(mesh.vertices, mesh.normals, views, 0.5, 3.0)
         return float(np.abs(colors - usual).mean())
 
     others = ColorOptions(deviation=10.0), ColorOptions(rounds=0)

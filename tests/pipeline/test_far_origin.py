@@ -25,7 +25,7 @@ from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.evaluation import find_truth, surface_scores
 from mgsr.pipeline.report_pictures import draw_surface
-from mgsr.pipeline.result_files import as_lit, read_models, write_lighting, write_models
+from mgsr.pipeline.result_files import read_models, with_irradiance, write_lighting, write_models
 from mgsr.pipeline.run import _draw
 from mgsr.shading.lighting import Lighting
 from tests.cli.spheres import SPHERES, held_out_camera, write_spheres
@@ -141,10 +141,10 @@ def test_a_flash_keeps_its_surface(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         found.append(flash)
         return scene
 
-    monkeypatch.setattr("mgsr.pipeline.result_files.lit_scene", lit)
+    monkeypatch.setattr("mgsr.pipeline.result_files.add_irradiance", lit)
     scene = Scene("far", tmp_path, "plain", [], [], None, Similarity(0.954, AWAY))
     write_lighting(tmp_path, lighting(), scene)
-    as_lit(tmp_path, scene, Config())
+    with_irradiance(tmp_path, scene, Config())
     np.testing.assert_allclose(found[0].mesh.vertices, lighting().mesh.vertices, rtol=0, atol=3e-7)
 
 

@@ -41,7 +41,7 @@ FEW = [
     "mesh.poisson_depth=6",
     "expert.segmentation.search.iterations=300",
     "expert.segmentation.search.rounds=2",
-    "expert.mesh.choice.mirror_share=0",  # so short a training ends so near the start that chance would choose
+    "expert.mesh.choice.max_start_residual=0",  # so short a training ends so near the start that chance would choose
 ]
 
 

@@ -25,8 +25,8 @@ def test_they_are_the_scenes(overrides: dict[str, object]) -> None:
 def test_exposures_are_dealt_with_later() -> None:
     kept = make_config(overrides={"exposure": "keep"})
     assert as_read(SCENE, kept).data == replace(READ, exposure=Exposure.KEEP)
-    told = replace(SCENE, read_with=replace(READ, exposure=Exposure.KEEP))
-    assert as_read(told, make_config()).data.exposure is Exposure.KEEP
+    reported = replace(SCENE, read_with=replace(READ, exposure=Exposure.KEEP))
+    assert as_read(reported, make_config()).data.exposure is Exposure.KEEP
 
 
 def test_others_are_refused() -> None:

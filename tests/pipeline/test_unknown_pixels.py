@@ -19,7 +19,7 @@ from mgsr.data.loading import reduced_view
 from mgsr.data.normalise import normalisation
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, View
-from mgsr.data.silhouettes import silhouettes
+from mgsr.data.silhouettes import view_silhouettes
 from mgsr.export.scenes import write_scene
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.pipeline.evaluation import image_scores
@@ -106,7 +106,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
 
 
 def _frame(scene: Scene) -> object:
-    frame = normalisation(scene.train, scene.points, silhouettes(scene.train, NormalisationOptions().contour_side))
+    frame = normalisation(scene.train, scene.points, view_silhouettes(scene.train, NormalisationOptions().contour_side))
     return [frame.scale, frame.offset]
 
 

@@ -75,7 +75,7 @@ def assert_close(shown: torch.Tensor, expected: np.ndarray) -> None:
     assert np.median(away) < 5e-4 and away.max() < 1e-2
 
 
-def test_still_light_is_found_where_the_sight_is_thrown() -> None:
+def test_still_light_is_found_where_the_sight_is_reflected() -> None:
     normal = normals(np.random.default_rng(0))
     lit = light(glow(unfolded(SIDE)), np.zeros((SIDE, SIDE, 3)))
     shown = reflected_environment(lit, camera(), torch.tensor(normal).float())
@@ -171,5 +171,5 @@ def test_a_reflector_mirrors_at_its_own_normals_and_once_more_where_it_meets_its
     share = np.array([0.2, 0.5, 0.8])
     assert np.abs(shown.detach().numpy() - share * glow(back))[twice].max() < 1e-2
     (gradient,) = torch.autograd.grad(shown.sum(), lit.logits)
-    told = (glow(back)[twice] * share * (1 - share)).sum(axis=0)
-    assert np.abs(gradient[-1].numpy() / told - 1).max() < 1e-2
+    reported = (glow(back)[twice] * share * (1 - share)).sum(axis=0)
+    assert np.abs(gradient[-1].numpy() / reported - 1).max() < 1e-2

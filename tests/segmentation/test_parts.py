@@ -25,7 +25,7 @@ from mgsr.geometry.raycast import pixel_rays
 from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.background import BackgroundSources
 from mgsr.segmentation.color_models import color_models, near_on_plane
-from mgsr.segmentation.consensus import silhouette, tolerant_hull
+from mgsr.segmentation.consensus import silhouette_distance, tolerant_hull
 from mgsr.segmentation.mattes import first_region, hull_region, matte, without_small_holes
 from mgsr.segmentation.random_walker import random_walker
 from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
@@ -250,8 +250,8 @@ def test_colours_tell_table_from_object_where_no_photograph_is_clear() -> None:
             for each in (None, models)
         ]
         wrong.append([(mask != truth[index])[region].mean() for mask in found])
-    without, told = np.mean(wrong, axis=0)
-    assert np.mean(right) > 0.97 and told < 0.9 * without, (right, without, told)
+    without, reported = np.mean(wrong, axis=0)
+    assert np.mean(right) > 0.97 and reported < 0.9 * without, (right, without, reported)
 
 
 def test_small_holes_of_a_matte_are_filled_and_large_ones_left() -> None:
@@ -273,7 +273,7 @@ def test_a_hull_that_some_masks_contradict_shows_what_they_leave_out() -> None:
     plane = SupportPlane(np.array([0.0, 0.0, 1.0]), -TABLE)
     hull = tolerant_hull(masks, seen, box, plane, 0.1)
     caster = Mesh(*hull_surface(hull)).caster
-    silhouettes = [silhouette(caster, camera) > 0 for camera in seen]
+    silhouettes = [silhouette_distance(caster, camera) > 0 for camera in seen]
     assert (silhouettes[2] & truth[2]).sum() > 0.97 * truth[2].sum() > 1.3 * masks[2].sum()
     for mask, true in zip(silhouettes, truth, strict=True):
         assert (mask & ~true).sum() < 0.12 * true.sum()

@@ -64,10 +64,10 @@ def fickle() -> Iterator[Fickle]:
 
 def download(fickle: Fickle, folder: Path, name: str = "mesh.ply") -> int:
     """Download a file, and return the sum of the reported sizes."""
-    told: list[int] = []
+    reported: list[int] = []
     with Client(fickle.url, "mgsr_key") as client:
-        client.download("1", ARTIFACT | {"name": name}, folder / "out/mesh.ply", told.append)
-    return sum(told)
+        client.download("1", ARTIFACT | {"name": name}, folder / "out/mesh.ply", reported.append)
+    return sum(reported)
 
 
 @pytest.mark.parametrize("name", ["mesh.ply", "moved.ply"])

@@ -249,12 +249,12 @@ def test_the_official_python_client(idle: Stack, archive: bytes, tmp_path: Path)
 def test_our_client_goes_on_over_a_connection_that_breaks_three_times(
     idle: Stack, archive: bytes, tmp_path: Path
 ) -> None:
-    source, gate, breaks, told = tmp_path / "scene.zip", Gate(idle.port), [30 << 20, 20 << 20, 5 << 20], [0]
+    source, gate, breaks, reported = tmp_path / "scene.zip", Gate(idle.port), [30 << 20, 20 << 20, 5 << 20], [0]
     source.write_bytes(archive)
 
     def progress(done: int, total: int) -> None:
         assert total == len(archive)
-        told.append(done)
+        reported.append(done)
         if breaks and done > breaks[-1]:
             breaks.pop()
             gate.close()
@@ -264,10 +264,10 @@ def test_our_client_goes_on_over_a_connection_that_breaks_three_times(
     with Client(f"http://127.0.0.1:{gate.port}", None) as client:
         job = client.submit(source, {"preset": "draft", "name": "vase"}, progress)
     gate.close()
-    assert not breaks and told[-1] == len(archive)
+    assert not breaks and reported[-1] == len(archive)
     assert (job["name"], job["options"]["preset"]) == ("vase", "draft")
     assert stored(idle, job["id"], tmp_path / "archive") == archive
-    again = sum(max(0, later - earlier) for earlier, later in itertools.pairwise(told)) - len(archive)
+    again = sum(max(0, later - earlier) for earlier, later in itertools.pairwise(reported)) - len(archive)
     assert again < 30 << 20, "more was sent again than the sockets hold; 55 MiB would be all"
 
 
@@ -330,7 +330,7 @@ def interrupted_after(count: int) -> Progress:
 
 
 def test_an_interrupted_upload_sends_only_what_is_missing(idle: Stack, archive: bytes, tmp_path: Path) -> None:
-    source, folder, told = tmp_path / "scene.zip", tmp_path / "unfinished", [0]
+    source, folder, reported = tmp_path / "scene.zip", tmp_path / "unfinished", [0]
     source.write_bytes(archive)
 
     interrupt = interrupted_after(34 << 20)
@@ -339,9 +339,9 @@ def test_an_interrupted_upload_sends_only_what_is_missing(idle: Stack, archive: 
     upload = unfinished(idle, folder)
     with Client(idle.url, None, folder) as client:
         other = client.submit(source, {"name": "two"})  # other options: an upload of its own
-        job = client.submit(source, {"name": "one"}, lambda done, total: told.append(done))
+        job = client.submit(source, {"name": "one"}, lambda done, total: reported.append(done))
     assert job["id"] == job_of("local", upload) != other["id"]
-    assert told[1] >= 32 << 20, "the first request was whole, so its bytes are not sent again"
+    assert reported[1] >= 32 << 20, "the first request was whole, so its bytes are not sent again"
     assert stored(idle, job["id"], tmp_path / "archive") == archive
 
 

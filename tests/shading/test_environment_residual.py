@@ -32,9 +32,9 @@ def test_where_a_surface_is_right_it_leaves_least(photographs: Callable[[int], l
     alike: list[np.ndarray] = []
     for view in views:
         before, after = on_ball.seen_by(view.camera), on_pressed.seen_by(view.camera)
-        told = (before > 0) & (after > 0)
-        hits = view.camera.center[2] > 2 and told.sum() > 200
-        (worse if hits else alike).extend(np.log2(after[told] / before[told]) / 2)
+        reported = (before > 0) & (after > 0)
+        hits = view.camera.center[2] > 2 and reported.sum() > 200
+        (worse if hits else alike).extend(np.log2(after[reported] / before[reported]) / 2)
     assert np.median(worse) > 1, "from above, the cameras see what is pressed"
     assert abs(np.median(alike)) < 0.3
 

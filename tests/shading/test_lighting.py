@@ -12,7 +12,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.images import srgb_to_linear
 from mgsr.data.scene import Scene, Similarity
 from mgsr.geometry.mesh import Mesh
-from mgsr.shading.lighting import Lighting, lit_scene
+from mgsr.shading.lighting import Lighting, add_irradiance
 from tests.mesh.shapes import looking_at_origin
 from tests.shading.test_shape_from_shading import flash, photographs, refine, rippled
 
@@ -149,7 +149,7 @@ def test_what_photographs_tell_of_the_light_explains_them() -> None:
     assert abs(lighting.right - aside[0]) < 0.03 and abs(lighting.down - aside[1]) < 0.03
     scene = Scene("ball", rippled, "", views[:30], views[30:], None, Similarity())  # type: ignore[arg-type]
     before, after = [], []
-    for view in lit_scene(scene, lighting).test:
+    for view in add_irradiance(scene, lighting).test:
         assert view.irradiance is not None and view.alpha is not None
         light = srgb_to_linear(view.image / 255.0).mean(axis=-1)
         usable = (view.alpha == 255) & (view.image.max(axis=-1) < 200)
@@ -163,4 +163,4 @@ def test_what_photographs_tell_of_the_light_explains_them() -> None:
 
 def test_a_scene_without_a_flash_stays() -> None:
     scene = Scene("ball", rippled, "", photographs(rippled(), flash)[:2], [], None, Similarity())  # type: ignore[arg-type]
-    assert lit_scene(scene, None) is scene
+    assert add_irradiance(scene, None) is scene

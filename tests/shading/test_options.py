@@ -142,6 +142,6 @@ def test_shape_from_shading(photos: PhotoSet, smooth: Mesh) -> None:
 
     work = ShadingPass(edge=2.0, rounds=1, reach=20.0)
     assert moved(ShadingOptions(max_faces=1000), work) != moved(ShadingOptions(), work)
-    still = ShadingOptions(fairing=BilateralOptions(rounds=0, steps=0))
-    only_fair = ShadingPass(edge=2.0, rounds=0, reach=20.0, fairing=17.0)
-    assert moved(still, only_fair) < 1e-9 < moved(ShadingOptions(), only_fair)
+    still = ShadingOptions(bilateral=BilateralOptions(rounds=0, steps=0))
+    only_filter = ShadingPass(edge=2.0, rounds=0, reach=20.0, bilateral_angle=17.0)
+    assert moved(still, only_filter) < 1e-9 < moved(ShadingOptions(), only_filter)

@@ -15,7 +15,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.images import read_image
 from mgsr.data.normalise import normalisation
 from mgsr.data.scene import Scene, Similarity, View
-from mgsr.data.silhouettes import silhouettes
+from mgsr.data.silhouettes import view_silhouettes
 from mgsr.training.progress import TrainResult
 from mgsr.training.run import Training
 from tests.training.ball import DISTANCE, RADIUS, ball_points, ball_scene
@@ -101,7 +101,7 @@ def test_opposite_cameras_have_a_centre_between_them() -> None:
 
 
 def frame(views: list[View]) -> Similarity:
-    return normalisation(views, None, silhouettes(views, NormalisationOptions().contour_side))
+    return normalisation(views, None, view_silhouettes(views, NormalisationOptions().contour_side))
 
 
 def opposite_scene() -> Scene:

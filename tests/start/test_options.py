@@ -26,7 +26,7 @@ from mgsr.start.points import StartSource
 from mgsr.start.scene_depths import scene_depths
 from mgsr.start.scene_points import scene_points
 from mgsr.start.starting_points import starting_points
-from mgsr.start.view_colors import seen_colors
+from mgsr.start.view_colors import median_colors
 from tests.data.captures import BallCapture
 from tests.mesh.shapes import cameras_around
 from tests.start.test_background_points import BALL, room
@@ -115,6 +115,6 @@ def test_exposures_of_points() -> None:
 def test_colors_of_points() -> None:
     """Check that a point which no view faces takes the colour of its nearest neighbour that one does."""
     train, _, _ = exposed_ball()
-    usual = seen_colors(train, POINTS.positions, POINTS.normals)
-    frontal = seen_colors(train, POINTS.positions, POINTS.normals, options=ViewColorOptions(min_cosine=0.99))
+    usual = median_colors(train, POINTS.positions, POINTS.normals)
+    frontal = median_colors(train, POINTS.positions, POINTS.normals, options=ViewColorOptions(min_cosine=0.99))
     assert len(np.unique(frontal, axis=0)) < 0.5 * len(np.unique(usual, axis=0))

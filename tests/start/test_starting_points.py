@@ -16,7 +16,7 @@ from mgsr.config.expert import EnvironmentOptions
 from mgsr.data.hull import Hull, carve, hull_surface, signed_field
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import PointCloud, Scene, Similarity
-from mgsr.data.silhouettes import silhouettes
+from mgsr.data.silhouettes import view_silhouettes
 from mgsr.geometry.mesh import Mesh
 from mgsr.open3d_library import load_open3d
 from mgsr.pipeline.example import find_example
@@ -71,12 +71,12 @@ def test_without_masks_or_points_a_ball(tmp_path: Path) -> None:
 def test_the_share_of_the_work_that_is_done(tmp_path: Path, masks: Masks) -> None:
     """Check that progress is told on the way of both the hull and stereo, and never falls."""
     scene = load_scene(BallCapture(views=12).write_plain(tmp_path), DataConfig(masks=masks))
-    told: list[float] = []
-    starting_points(scene, 500, seed=0, progress=told.append)
-    assert len(told) >= 2 and told == sorted(told) and 0 < told[0] < 1 and told[-1] <= 1
+    reported: list[float] = []
+    starting_points(scene, 500, seed=0, progress=reported.append)
+    assert len(reported) >= 2 and reported == sorted(reported) and 0 < reported[0] < 1 and reported[-1] <= 1
     if masks is Masks.OFF:
         # Each view is searched, and then what has no contrast in it is continued.
-        assert len(told) == 2 * len(scene.train) and told[-1] == pytest.approx(1)
+        assert len(reported) == 2 * len(scene.train) and reported[-1] == pytest.approx(1)
 
 
 def test_own_points_come_first_without_those_that_are_far_away_or_not_finite(tmp_path: Path) -> None:
@@ -102,10 +102,10 @@ def test_with_masks_the_surface_that_stereo_finds_comes_before_own_points(ball_s
 
 
 def test_coarse_to_fine_is_the_same_as_carving_all_voxels(ball_scene: Scene) -> None:
-    outlines = silhouettes(ball_scene.train, 400)
-    fine = carve(outlines, np.zeros(3), 1.05, 64)
+    silhouettes = view_silhouettes(ball_scene.train, 400)
+    fine = carve(silhouettes, np.zeros(3), 1.05, 64)
     corner = fine.origin + np.stack(np.meshgrid(*[np.arange(64)] * 3, indexing="ij"), -1).reshape(-1, 3) * fine.voxel
-    values, judged = signed_field(outlines, corner)
+    values, judged = signed_field(silhouettes, corner)
     exact = np.where(judged, values, -fine.voxel).reshape(64, 64, 64)
     np.testing.assert_array_equal(fine.field > 0, exact > 0)
     near = np.abs(exact) < 1.2 * fine.voxel
@@ -121,7 +121,7 @@ HULLS = {"spot_soft": 2.75, "teapot_hdr": 3.02}
 def test_hull_against_ground_truth(shared_data: Path, name: str) -> None:
     root = shared_data / "scenes" / name
     scene = load_scene(root, DataConfig())
-    surface = hull_surface(carve(silhouettes(scene.train, 400), np.zeros(3), 1.05, 128))
+    surface = hull_surface(carve(view_silhouettes(scene.train, 400), np.zeros(3), 1.05, 128))
     truth = trimesh.load_mesh(root / "mesh_gt.ply")
     ours = trimesh.Trimesh(scene.user_from_scene.to_user(surface[0]), surface[1], process=False)
     assert ours.volume > 0, "faces point outwards"

@@ -145,9 +145,9 @@ def same(one: DepthMap, other: DepthMap) -> bool:
 
 
 def test_the_share_of_the_views_that_is_done(few: StereoPhotographs, start: RayCaster) -> None:
-    told: list[float] = []
-    match_views(few, start, seed=0, progress=told.append)
-    assert told == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
+    reported: list[float] = []
+    match_views(few, start, seed=0, progress=reported.append)
+    assert reported == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
 
 
 @pytest.mark.parametrize("count", [1, 2])

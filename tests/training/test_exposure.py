@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mgsr.config import make_config
-from mgsr.data.exposure import brightness_jumps, evened
+from mgsr.data.exposure import brightness_jumps, with_exposures
 from mgsr.data.scene import Exposures, Scene
 from mgsr.errors import Cancelled
 from mgsr.training import exposure
@@ -44,7 +44,7 @@ def test_the_factors_are_found(masked: bool) -> None:
     error = np.log(factors / truth).mean(axis=1)
     error -= error[:40].mean()
     assert error[:40].std() < (0.1 if masked else 0.2) and np.abs(error[40:]).max() < 0.25
-    jumps = [brightness_jumps(each.train) for each in (even, evened(scene, found), scene)]
+    jumps = [brightness_jumps(each.train) for each in (even, with_exposures(scene, found), scene)]
     assert jumps[2] > 0.25 and jumps[1] < jumps[0] + 0.06
 
 

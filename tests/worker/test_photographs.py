@@ -30,7 +30,7 @@ def scene(room: Room) -> Scene:
     return replace(room_scene(room.views), user_from_scene=Similarity(2.0, MIDDLE))
 
 
-def told(folder: Path, *events: Event) -> CheckedPhotographs:
+def reported(folder: Path, *events: Event) -> CheckedPhotographs:
     reporter = Reporter(folder, lambda kind, **data: None, lambda event: None)
     for event in events:
         reporter(event)
@@ -55,7 +55,7 @@ def grey(image: np.ndarray) -> np.ndarray:
 
 def test_cameras_and_pictures_of_a_check(scene: Scene, room: Room, tmp_path: Path) -> None:
     inspection = inspect_scene(scene)
-    found = told(tmp_path, Event("check", "", inspection=inspection, scene=scene))
+    found = reported(tmp_path, Event("check", "", inspection=inspection, scene=scene))
     assert [photo.name for photo in found.photographs] == photo_names(scene)
     assert (found.middle, found.radius, found.masks) == (tuple(MIDDLE), 2.0, False)
     assert not (tmp_path / "masks.webp").exists()
@@ -77,7 +77,7 @@ def test_masks_that_come_with_the_photographs_or_later(scene: Scene, room: Room,
     views = [replace(view, alpha=mask) for view, mask in zip(room.views, room.masks, strict=True)]
     masked = replace(scene, train=views[:-4], test=views[-4:], user_from_scene=Similarity(0.7, MIDDLE))
     first = Event("check", "", inspection=inspection, scene=scene)
-    found = told(tmp_path, first, Event("object", "found", scene=masked))
+    found = reported(tmp_path, first, Event("object", "found", scene=masked))
     assert found.masks and found.radius == 0.7
     edge = (found.tile - found.tile * HEIGHT // WIDTH) // 2
     plain = tile(found, tmp_path / "photographs.webp", 3)[edge:-edge, :, :3].astype(float)
@@ -86,7 +86,7 @@ def test_masks_that_come_with_the_photographs_or_later(scene: Scene, room: Room,
     outside = small(room.masks[3], found.tile) < 5
     assert np.abs(shown - plain)[inside].mean() < 8
     assert shown[outside].mean() < 0.5 * plain[outside].mean()
-    other = told(tmp_path / "other", Event("check", "", inspection=inspect_scene(masked), scene=masked))
+    other = reported(tmp_path / "other", Event("check", "", inspection=inspect_scene(masked), scene=masked))
     assert other.masks and (tmp_path / "other/masks.webp").is_file()
 
 
@@ -94,6 +94,6 @@ def test_a_photograph_that_was_left_out_has_no_mask(scene: Scene, room: Room, tm
     inspection = inspect_scene(scene)
     views = [View(view.name, view.camera, view.image, mask) for view, mask in zip(room.views, room.masks, strict=True)]
     fewer = replace(scene, train=views[1:-4], test=views[-4:])
-    found = told(tmp_path, Event("check", "", inspection=inspection, scene=scene), Event("object", "", scene=fewer))
+    found = reported(tmp_path, Event("check", "", inspection=inspection, scene=scene), Event("object", "", scene=fewer))
     assert (tile(found, tmp_path / "masks.webp", 0)[..., 3] == 0).all()
     assert (tile(found, tmp_path / "masks.webp", 1)[64, :, 3] == 255).all()

@@ -75,11 +75,11 @@ def test_the_end_of_a_job_is_told_and_signed(calling: Stack, receiver: Receiver)
     assert len(receiver.came) == 3
     secret = calling.http.get("/webhook-secret").json()["secret"]
     headers, body = receiver.came[-1]
-    told = Webhook(secret).verify(body, headers)
+    reported = Webhook(secret).verify(body, headers)
     job = calling.job(answer.json()["id"])
-    assert told["type"] == "job.failed"
-    assert told["data"]["id"] == job["id"] and told["data"]["name"] == "empty"
-    assert told["data"]["error"] == job["error"] and job["error"]["code"] == "bad_scene"
+    assert reported["type"] == "job.failed"
+    assert reported["data"]["id"] == job["id"] and reported["data"]["name"] == "empty"
+    assert reported["data"]["error"] == job["error"] and job["error"]["code"] == "bad_scene"
     assert len({headers["webhook-id"] for headers, _ in receiver.came}) == 1
     with pytest.raises(WebhookVerificationError):
         Webhook(secret).verify(body.replace(b"failed", b"gained"), headers)

@@ -31,13 +31,13 @@ from worker.scratch import scratch_folder, sweep
 
 
 def report(tmp_path: Path, events: Iterable[Event]) -> list[dict[str, Any]]:
-    told: list[dict[str, Any]] = []
+    reported: list[dict[str, Any]] = []
     reporter = Reporter(
-        tmp_path / "previews", lambda kind, **data: told.append({"kind": kind, **data}), lambda event: None
+        tmp_path / "previews", lambda kind, **data: reported.append({"kind": kind, **data}), lambda event: None
     )
     for event in events:
         reporter(event)
-    return told
+    return reported
 
 
 def training(iteration: int, total: int = 1000, **more: Any) -> Event:
@@ -52,11 +52,11 @@ def training(iteration: int, total: int = 1000, **more: Any) -> Event:
 
 def test_a_search_for_cameras_takes_its_share_of_the_progress(tmp_path: Path) -> None:
     events = [Event("load", "reading"), Event("cameras", "features", done=0.5), Event("load", "read"), training(500)]
-    told = report(tmp_path, events)
-    assert [item["step"] for item in told] == ["load", "cameras", "load", "train"]
-    places = [item["progress"] for item in told]
+    reported = report(tmp_path, events)
+    assert [item["step"] for item in reported] == ["load", "cameras", "load", "train"]
+    places = [item["progress"] for item in reported]
     assert places == sorted(places) and places[1] == CAMERAS / 2 and places[2] > CAMERAS
-    assert told[1]["step_progress"] == 0.5 and told[1]["step_eta_seconds"] is not None
+    assert reported[1]["step_progress"] == 0.5 and reported[1]["step_eta_seconds"] is not None
     alone = report(tmp_path, [training(500)])[0]["progress"]
     assert places[3] == pytest.approx(CAMERAS + (1 - CAMERAS) * alone, abs=0.01)
 
@@ -64,38 +64,38 @@ def test_a_search_for_cameras_takes_its_share_of_the_progress(tmp_path: Path) ->
 def test_findings_of_the_check_are_passed_on(tmp_path: Path) -> None:
     finding = Finding(Code.BLURRED, Severity.WARNING, "text", 2.0, "times", "cure", ("a", "b"))
     event = Event("check", "1 warning", inspection=Inspection((finding,), (), 0.5))
-    (told,) = report(tmp_path, [event])
-    assert told["step"] == "check" and BEFORE["load"] < told["progress"] < BEFORE["start"]
-    assert told["findings"][0]["photographs"] == ("a", "b") and json.dumps(told)
-    FindingView.model_validate(told["findings"][0])
+    (reported,) = report(tmp_path, [event])
+    assert reported["step"] == "check" and BEFORE["load"] < reported["progress"] < BEFORE["start"]
+    assert reported["findings"][0]["photographs"] == ("a", "b") and json.dumps(reported)
+    FindingView.model_validate(reported["findings"][0])
 
 
 def test_training_as_a_person_sees_it(tmp_path: Path) -> None:
-    (told,) = report(tmp_path, [training(500)])
-    assert (told["stage"], told["iteration"], told["total"], told["psnr"]) == ("alone", 500, 1000, 20.0)
+    (reported,) = report(tmp_path, [training(500)])
+    assert (reported["stage"], reported["iteration"], reported["total"], reported["psnr"]) == ("alone", 500, 1000, 20.0)
     # 5 of 10 seconds of training are left, then the steps after it.
-    assert told["eta_seconds"] == 5.0 + AFTER_SECONDS + AFTER_SHARE * 10.0
+    assert reported["eta_seconds"] == 5.0 + AFTER_SECONDS + AFTER_SHARE * 10.0
     before = BEFORE["train"]
-    assert abs(told["progress"] - (before + (1 - before) * 5.0 / (5.0 + told["eta_seconds"]))) < 1e-3
-    assert told["curve"] == [{"seconds": 5.0, "stage": "alone", "iteration": 500, "loss": 0.75, "psnr": 20.0}]
+    assert abs(reported["progress"] - (before + (1 - before) * 5.0 / (5.0 + reported["eta_seconds"]))) < 1e-3
+    assert reported["curve"] == [{"seconds": 5.0, "stage": "alone", "iteration": 500, "loss": 0.75, "psnr": 20.0}]
 
 
 def test_many_events_are_few_lines_and_the_last_is_one_of_them(tmp_path: Path) -> None:
-    told = report(tmp_path, [training(iteration) for iteration in range(1, 1001)])
-    assert len(told) < 10 and told[-1]["iteration"] == 1000
+    reported = report(tmp_path, [training(iteration) for iteration in range(1, 1001)])
+    assert len(reported) < 10 and reported[-1]["iteration"] == 1000
 
 
 def test_a_long_curve_is_thinned(tmp_path: Path) -> None:
-    told = report(tmp_path, [training(100, total=100, seconds=float(i)) for i in range(5 * CURVE_ROWS)])
-    curve = told[-1]["curve"]
+    reported = report(tmp_path, [training(100, total=100, seconds=float(i)) for i in range(5 * CURVE_ROWS)])
+    curve = reported[-1]["curve"]
     assert CURVE_ROWS / 2 <= len(curve) <= CURVE_ROWS
     assert [row["seconds"] for row in curve] == sorted(row["seconds"] for row in curve)
 
 
 def test_numbers_that_are_none_are_no_trouble(tmp_path: Path) -> None:
-    (told,) = report(tmp_path, [training(500, losses={"a": float("nan")}, psnr=float("inf"))])
-    assert told["losses"] == {"a": None} and told["psnr"] is None and told["curve"][0]["loss"] is None
-    json.dumps(told, allow_nan=False)
+    (reported,) = report(tmp_path, [training(500, losses={"a": float("nan")}, psnr=float("inf"))])
+    assert reported["losses"] == {"a": None} and reported["psnr"] is None and reported["curve"][0]["loss"] is None
+    json.dumps(reported, allow_nan=False)
 
 
 def test_previews_are_files_at_once(tmp_path: Path) -> None:
@@ -109,10 +109,10 @@ def test_progress_rises_and_the_time_left_falls(tmp_path: Path) -> None:
     after = [Event(step, f"the step {step}") for step in AFTER]
     # Its pace falls to a third on the way: progress waits then, and does not go back.
     paces = [training(i, total=100, seconds=i * (0.1 if i < 50 else 0.3)) for i in (5, 20, 45, 50, 60, 100)]
-    told = report(tmp_path, [*before, *paces, *after])
-    shares = [entry["progress"] for entry in told]
-    assert shares == sorted(shares) and shares[-1] <= 0.99 and told[-1]["text"] == "the step report"
-    left = [entry["eta_seconds"] for entry in told[-len(AFTER) :]]
+    reported = report(tmp_path, [*before, *paces, *after])
+    shares = [entry["progress"] for entry in reported]
+    assert shares == sorted(shares) and shares[-1] <= 0.99 and reported[-1]["text"] == "the step report"
+    left = [entry["eta_seconds"] for entry in reported[-len(AFTER) :]]
     assert left == sorted(left, reverse=True) and left[-1] > 0
 
 
@@ -133,13 +133,13 @@ def test_a_long_step_before_training_moves_and_says_how_long_it_takes(
         yield Event("start", "choosing starting points: 50%", done=0.5)
         yield Event("train", "training")
 
-    told = report(tmp_path, events())
-    assert [(entry["step_progress"], entry["step_eta_seconds"]) for entry in told] == [
+    reported = report(tmp_path, events())
+    assert [(entry["step_progress"], entry["step_eta_seconds"]) for entry in reported] == [
         *[(None, None)] * 2,
         *((0.25, 30.0), (0.5, 20.0)),
         (None, None),
     ]
-    shares = [entry["progress"] for entry in told]
+    shares = [entry["progress"] for entry in reported]
     assert shares == sorted(set(shares)) and shares[0] == BEFORE["load"] and shares[-1] == BEFORE["train"]
 
 
@@ -153,9 +153,9 @@ def test_each_step_before_training_may_tell_how_far_it_is(tmp_path: Path, step: 
 
 def test_training_after_a_long_start_goes_on_where_that_ended(tmp_path: Path) -> None:
     """Check that the bar neither waits nor jumps: what came before training is a fixed share of it."""
-    told = report(tmp_path, [Event("train", "training"), *(training(i, total=100) for i in (2, 100))])
-    assert BEFORE["train"] == told[0]["progress"] < told[1]["progress"] < told[-1]["progress"]
-    assert told[1]["progress"] < BEFORE["train"] + 0.02
+    reported = report(tmp_path, [Event("train", "training"), *(training(i, total=100) for i in (2, 100))])
+    assert BEFORE["train"] == reported[0]["progress"] < reported[1]["progress"] < reported[-1]["progress"]
+    assert reported[1]["progress"] < BEFORE["train"] + 0.02
 
 
 def test_curves_of_two_attempts_are_one() -> None:

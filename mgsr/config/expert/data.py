@@ -159,7 +159,7 @@ class FrameOptions(Options):
     quantile: Share = 0.75  # of the features' motions that counts; those on a still background may be many
     step: Positive = 0.04  # motion between two chosen frames
     min_step: Positive = 0.01  # the same, in videos that show little
-    wanted: Count = 40  # frames below which the steps get smaller
+    min_frames: Count = 40  # frames below which the steps get smaller
     apart: Share = 0.4  # of a step, the least motion between two chosen frames
     quality: Annotated[int, Range(1, 100)] = 97  # of JPEG
     knee: Annotated[float, Range(0, 0.99)] = 0.8  # of diffuse white; brighter light of HDR videos is compressed

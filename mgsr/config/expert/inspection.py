@@ -94,7 +94,7 @@ class PhotoCheckOptions(Options):
 
     jumps: NotNegative = 0.05  # spread of log light above chance
     shared_places: Annotated[int, Range(4)] = 16  # matches of a photograph, with fewer of which its light is unknown
-    told: Share = 0.5  # share of the photographs whose light must be known
+    min_known: Share = 0.5  # share of the photographs whose light must be known
     common: Share = 0.6  # correlation of the light of both halves of the photographs; gloss changes one half alone
     outlier: Annotated[float, Range(1)] = 2.0  # factor against the neighbours' light beyond which highlights or shadows
     # are lost

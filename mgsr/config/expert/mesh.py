@@ -50,7 +50,9 @@ class MeshStepOptions(Options):
 class SurfaceChoiceOptions(Options):
     """The choice between the trained surface and the first one."""
 
-    mirror_share: NotNegative = 0.95  # the first surface is better if its environment residual is at most this share of
+    max_start_residual: NotNegative = (
+        0.95  # the first surface is better if its environment residual is at most this share of
+    )
     # the trained one's
     tears: WholeNumber = 40  # boundary loops plus twice the handles, in excess of the first surface's, above which the
     # trained surface counts as torn; torn ones have hundreds

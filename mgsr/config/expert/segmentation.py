@@ -82,8 +82,8 @@ class MatteOptions(Options):
     certain_cost: NotNegative = 4.0  # background cost above which a pixel certainly does not show the background
     deep: NotNegative = 3.0  # pixels inside the hull's silhouette beyond which the label background costs more
     deep_cost: NotNegative = 6.0  # the cost there, where the background is known
-    beside: NotNegative = 3.0  # pixels outside the hull's silhouette beyond which the label object costs more
-    beside_cost: NotNegative = 3.0  # the cost there
+    outside: NotNegative = 3.0  # pixels outside the hull's silhouette beyond which the label object costs more
+    outside_cost: NotNegative = 3.0  # the cost there
     searched: NotNegative = 6.0  # pixels around the hull's silhouette in which the object may lie
     first_searched: NotNegative = 0.12  # the same around the first mask, as a share of the square root of its area
     max_hole: Share = 0.005  # area of a hole, as a share of the mask's, below which it is filled: highlights look like
@@ -115,11 +115,11 @@ class ObjectSearchOptions(Options):
     copies: Count = 8  # copies of a surfel between its place and the plane, which fill the first masks
     linked: Positive = 2.5  # times the median distance to a third neighbour; surfels closer than this are connected
     blocked: WholeNumber = 2  # pixels around a mask that do not count as background
-    sure: Share = 0.5  # least share of an object surfel's pixels with known background that certainly hide it
+    certain: Share = 0.5  # least share of an object surfel's pixels with known background that certainly hide it
     known: Share = 0.03  # least share of an object surfel's pixels whose background is known
     min_surfels: Annotated[int, Range(4)] = 50  # that an object has at least
     rival: NotNegative = 0.4  # relative size of a second piece above which the object is ambiguous
-    beside: NotNegative = 3.0  # pixels outside the hull's silhouette beyond which final masks are 0
+    outer_margin: NotNegative = 3.0  # pixels outside the hull's silhouette beyond which final masks are 0
     filled: NotNegative = 2.0  # pixels inside the hull's silhouette beyond which final masks are 1
     min_agreement: Share = 0.75  # least mean intersection over union of the masks and the hull's silhouettes
     min_shown: Share = 0.8  # least share of the photographs that show the object

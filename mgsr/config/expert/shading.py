@@ -143,7 +143,7 @@ class ShadingOptions(Options):
     prior_weight: Positive = 0.05  # of a displacement of 0 at every vertex
     max_faces: Count = MAX_FACES  # of the mesh that is bent
     contour_smoothing: NotNegative = 1.5  # pixels over which the contours' displacements are smoothed
-    fairing: BilateralOptions = field(default_factory=BilateralOptions)
+    bilateral: BilateralOptions = field(default_factory=BilateralOptions)
     contours: ContourSearchOptions = field(default_factory=ContourSearchOptions)
 
 
@@ -154,7 +154,7 @@ class ShadingPass(Options):
     edge: Positive  # pixels; the mesh's edge length
     rounds: WholeNumber  # of estimating normals and fitting the surface
     reach: Positive  # pixels; wavelength above which shape stays unless contours move it
-    fairing: Angle = 0.0  # degrees of the bilateral filter before and after the rounds; 0 is none
+    bilateral_angle: Angle = 0.0  # degrees of the bilateral filter before and after the rounds; 0 is none
 
 
 @dataclass(frozen=True)

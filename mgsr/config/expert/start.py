@@ -17,11 +17,13 @@ class FirstSurfaceOptions(Options):
     """The first surface of a masked object, inside its visual hull.
 
     The large shape of a hull is wrong too, so shading may change larger shape than on a trained surface. Deep
-    concavities need many rounds. An environment map hardly constrains a hull's steps, which fairing removes between the
-    rounds. It constrains the small shape better once photometric refinement has corrected the large shape.
+    concavities need many rounds. An environment map hardly constrains a hull's steps, which bilateral filtering removes
+    between the rounds. It constrains the small shape better once photometric refinement has corrected the large shape.
     """
 
-    mirror_share: NotNegative = 0.9  # the surface is a mirror if the hull's residual under an environment map is at
+    max_hull_residual: NotNegative = (
+        0.9  # the surface is a mirror if the hull's residual under an environment map is at
+    )
     # most this share of stereo's
     disbelieved: Positive = 0.3  # octaves by which stereo's residual may exceed the hull's before its depths lose all
     # weight
@@ -31,10 +33,10 @@ class FirstSurfaceOptions(Options):
     flash_coarse: ShadingPass = field(default_factory=lambda: ShadingPass(edge=2.0, rounds=6, reach=160.0))
     flash_fine: ShadingPass = field(default_factory=lambda: ShadingPass(edge=1.5, rounds=3, reach=60.0))
     environment_repeats: Count = 3  # times that the pass environment_coarse is run
-    environment_coarse: ShadingPass = field(default_factory=lambda: ShadingPass(3.0, 2, 240.0, fairing=17.0))
-    environment_medium: ShadingPass = field(default_factory=lambda: ShadingPass(2.0, 2, 240.0, fairing=17.0))
-    environment_fine: ShadingPass = field(default_factory=lambda: ShadingPass(1.5, 2, 120.0, fairing=17.0))
-    environment_last: ShadingPass = field(default_factory=lambda: ShadingPass(1.5, 2, 60.0, fairing=17.0))
+    environment_coarse: ShadingPass = field(default_factory=lambda: ShadingPass(3.0, 2, 240.0, bilateral_angle=17.0))
+    environment_medium: ShadingPass = field(default_factory=lambda: ShadingPass(2.0, 2, 240.0, bilateral_angle=17.0))
+    environment_fine: ShadingPass = field(default_factory=lambda: ShadingPass(1.5, 2, 120.0, bilateral_angle=17.0))
+    environment_last: ShadingPass = field(default_factory=lambda: ShadingPass(1.5, 2, 60.0, bilateral_angle=17.0))
 
 
 @dataclass(frozen=True)

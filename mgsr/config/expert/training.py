@@ -42,7 +42,7 @@ class ProxyModelOptions(Options):
 
 
 @dataclass(frozen=True)
-class OutlineOptions(Options):
+class LearnedMaskOptions(Options):
     """Masks of photographs before a plain backdrop, learned by two proxy models."""
 
     degree: Degree = 2  # of the colours' harmonics
@@ -77,7 +77,7 @@ class ExposureOptions(Options):
 class BackgroundOptions(Options):
     """The surfels of what lies around a found object."""
 
-    beside: Share = 0.005  # of the photograph's longer side; margin of the masks that training ignores
+    mask_margin: Share = 0.005  # of the photograph's longer side; margin of the masks that training ignores
     inside: Share = 0.9  # of the views; a starting point inside the masks of more views is the object's
 
 
@@ -86,5 +86,5 @@ class TrainingOptions(Options):
     """What is trained before the training."""
 
     background: BackgroundOptions = field(default_factory=BackgroundOptions)
-    outlines: OutlineOptions = field(default_factory=OutlineOptions)
+    learned_masks: LearnedMaskOptions = field(default_factory=LearnedMaskOptions)
     exposure: ExposureOptions = field(default_factory=ExposureOptions)

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 
 from mgsr.config import MeshConfig
 from mgsr.config.expert import PhotometricOptions
+from mgsr.data.cost_factors import CostFactors
 from mgsr.geometry.mesh import Mesh
-from mgsr.mesh.steps.step import MeshStep, SceneFacts, StepContext, StepResult, reading_size
+from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult, reading_size
 from mgsr.shading.light_estimate import LightEstimate
 from mgsr.shading.photometric_refinement import refine_photometrically
 
@@ -31,13 +32,13 @@ class PhotometricRefinement(MeshStep):
         wanted = context.config.photometric_reach is not None and bool(context.photos.silhouettes)
         return light.searches == self.turn and wanted and context.go_on()
 
-    def cost(self, facts: SceneFacts, config: MeshConfig) -> float:
-        held = (facts.masked or facts.learned) and config.photometric_reach is not None
+    def cost(self, factors: CostFactors, config: MeshConfig) -> float:
+        held = (factors.masked or factors.learned) and config.photometric_reach is not None
         if config.max_light_residual is None or not held:
             return 0.0
-        if facts.flash:
-            return 22.0 * reading_size(facts, config)
-        return 13.0 * reading_size(facts, config) if self.turn == 1 else 0.0
+        if factors.flash:
+            return 22.0 * reading_size(factors, config)
+        return 13.0 * reading_size(factors, config) if self.turn == 1 else 0.0
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
         reach = context.config.photometric_reach or 0.0

@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 
 from mgsr.config import MeshConfig
 from mgsr.config.expert import LightOptions, ShadingOptions, ShadingPass
+from mgsr.data.cost_factors import CostFactors
 from mgsr.geometry.mesh import Mesh
-from mgsr.mesh.steps.step import MeshStep, SceneFacts, StepContext, StepResult, reading_size
+from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult, reading_size
 from mgsr.shading.light_estimate import LightEstimate, LightKind, estimate_light
 from mgsr.shading.shape_from_shading import shape_from_shading
 
@@ -40,12 +41,12 @@ class ShapeFromShading(MeshStep):
             return False
         return self.turn == 1 or (light.kind is LightKind.FLASH and context.go_on())
 
-    def cost(self, facts: SceneFacts, config: MeshConfig) -> float:
+    def cost(self, factors: CostFactors, config: MeshConfig) -> float:
         if config.max_light_residual is None:
             return 0.0
-        if facts.flash:
-            return 10.0 * self.rounds.rounds * reading_size(facts, config)
-        return 2.0 * reading_size(facts, config) if facts.shiny and self.turn == 1 else 0.0
+        if factors.flash:
+            return 10.0 * self.rounds.rounds * reading_size(factors, config)
+        return 2.0 * reading_size(factors, config) if factors.shiny and self.turn == 1 else 0.0
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
         light = estimate_light(mesh, context.photos, context.config.max_light_residual or 0.0, light, self.light)

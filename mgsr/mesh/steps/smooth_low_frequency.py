@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 
 from mgsr.config import MeshConfig
 from mgsr.config.expert import LowFrequencyOptions
+from mgsr.data.cost_factors import CostFactors
 from mgsr.geometry.low_frequency import smooth_low_frequency
 from mgsr.geometry.mesh import Mesh
-from mgsr.mesh.steps.step import MeshStep, SceneFacts, StepContext, StepResult, surface_cells
+from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult, surface_cells
 from mgsr.shading.light_estimate import LightEstimate, LightKind
 
 
@@ -23,8 +24,8 @@ class SmoothLowFrequency(MeshStep):
         wanted = bool(context.config.regression_angle and context.photos.views)
         return wanted and light.kind is not LightKind.FLASH
 
-    def cost(self, facts: SceneFacts, config: MeshConfig) -> float:
-        return 2.5 * surface_cells(facts, config) ** 2 if config.regression_angle and not facts.flash else 0.0
+    def cost(self, factors: CostFactors, config: MeshConfig) -> float:
+        return 2.5 * surface_cells(factors, config) ** 2 if config.regression_angle and not factors.flash else 0.0
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
         angle = context.config.regression_angle or 0.0

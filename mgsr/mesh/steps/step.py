@@ -5,12 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
 from mgsr.config import MeshConfig
 from mgsr.config.expert import MeshOptions
+from mgsr.data.cost_factors import CostFactors
 from mgsr.errors import MeshError
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.consistency import SilhouetteHull
@@ -21,25 +21,6 @@ from mgsr.shading.photo_set import PhotoSet
 SHOWN = 0.6  # the object's extent, as a share of an image's side
 
 Outcome = Mapping[str, float | bool | str]
-
-
-class SceneFacts(Protocol):
-    """The properties of a scene that determine a step's cost (`mgsr.budget.costs.Facts`)."""
-
-    @property
-    def views(self) -> int: ...
-    @property
-    def pixels(self) -> float: ...
-    @property
-    def size(self) -> float: ...
-    @property
-    def shiny(self) -> bool: ...
-    @property
-    def masked(self) -> bool: ...
-    @property
-    def learned(self) -> bool: ...
-    @property
-    def flash(self) -> bool: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +82,7 @@ class MeshStep(ABC):
         """Return whether the step applies."""
         return True
 
-    def cost(self, facts: SceneFacts, config: MeshConfig) -> float:
+    def cost(self, factors: CostFactors, config: MeshConfig) -> float:
         """Return the step's duration in seconds, as `mgsr.budget.costs` counts them; 0 if negligible."""
         return 0.0
 
@@ -129,21 +110,21 @@ def cure(config: MeshConfig) -> str:
     )
 
 
-def rendered_pixels(facts: SceneFacts, config: MeshConfig) -> float:
+def rendered_pixels(factors: CostFactors, config: MeshConfig) -> float:
     """Return the total number of pixels of all rendered views."""
-    return min(facts.views * facts.pixels * config.view_scale**2, config.max_pixels)
+    return min(factors.views * factors.pixels * config.view_scale**2, config.max_pixels)
 
 
-def surface_cells(facts: SceneFacts, config: MeshConfig) -> float:
+def surface_cells(factors: CostFactors, config: MeshConfig) -> float:
     """Return the number of cells along a side of the extracted surface, relative to 256."""
-    across = SHOWN * (rendered_pixels(facts, config) / facts.views) ** 0.5
+    across = SHOWN * (rendered_pixels(factors, config) / factors.views) ** 0.5
     return float(min(2**config.poisson_depth, across) / 256)
 
 
-def reading_size(facts: SceneFacts, config: MeshConfig) -> float:
+def reading_size(factors: CostFactors, config: MeshConfig) -> float:
     """Return the cost of sampling the photographs at every vertex, relative to the reference scene.
 
     There is one vertex for each cell of the surface, but no more than pixels allow.
     """
-    cells = min(1.0, 2**config.poisson_depth / facts.pixels**0.5)
-    return float((facts.views / 48 * facts.size) ** 0.7 * cells**1.2)
+    cells = min(1.0, 2**config.poisson_depth / factors.pixels**0.5)
+    return float((factors.views / 48 * factors.size) ** 0.7 * cells**1.2)

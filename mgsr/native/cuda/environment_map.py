@@ -51,7 +51,7 @@ class EnvironmentMapKernels:
 
     def forward(self, lookup: EnvironmentMapLookup, light: Tensor) -> None:
         """Write light [H,W,3] at the pixels."""
-        self._look("environment_map_forward", lookup, (light, None, None, None, None))
+        self._launch_lookup("environment_map_forward", lookup, (light, None, None, None, None))
 
     def backward(
         self, lookup: EnvironmentMapLookup, v_light: Tensor, v_maps: Tensor | None, v_normals: Tensor | None
@@ -61,11 +61,11 @@ class EnvironmentMapKernels:
         cells = places = None
         if v_maps is not None:
             cells, places = normals.new_empty(2 * count, dtype=torch.int32), normals.new_empty(2 * count, 2)
-        self._look("environment_map_backward", lookup, (None, v_light, v_normals, cells, places))
+        self._launch_lookup("environment_map_backward", lookup, (None, v_light, v_normals, cells, places))
         if v_maps is not None and cells is not None and places is not None:
             self._add_up(count, lookup.pixels, v_light, cells, places, v_maps)
 
-    def _look(self, kernel: str, lookup: EnvironmentMapLookup, arrays: tuple[Tensor | None, ...]) -> None:
+    def _launch_lookup(self, kernel: str, lookup: EnvironmentMapLookup, arrays: tuple[Tensor | None, ...]) -> None:
         maps, normals, pixels, camera = lookup
         count = _count(lookup)
         inputs = (count, pointer(pixels), normals.shape[1], maps.shape[1], pointer(maps), pointer(normals))

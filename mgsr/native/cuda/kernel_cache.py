@@ -33,7 +33,7 @@ class KernelCache:
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
-        self._told = False
+        self._warned = False
         self._lock = threading.Lock()
 
     def get(self, key: bytes) -> bytes | None:
@@ -46,7 +46,7 @@ class KernelCache:
             with FileStreamProgramCache(self._folder) as files:
                 stored = files.get(key)
         except OSError as error:
-            self._tell(error)
+            self._warn(error)
             return None
         code, digest = (stored[:-DIGEST_BYTES], stored[-DIGEST_BYTES:]) if stored else (b"", b"")
         return code if digest == _digest(key, code) else None
@@ -56,18 +56,18 @@ class KernelCache:
         from cuda.core.utils import FileStreamProgramCache
 
         if self._folder is None:
-            self._tell("there is no home folder")
+            self._warn("there is no home folder")
             return
         try:
             with FileStreamProgramCache(self._folder) as files:
                 files[key] = code + _digest(key, code)
         except OSError as error:
-            self._tell(error)
+            self._warn(error)
 
-    def _tell(self, reason: object) -> None:
+    def _warn(self, reason: object) -> None:
         with self._lock:
-            told, self._told = self._told, True
-        if not told:
+            warned, self._warned = self._warned, True
+        if not warned:
             log.warning(
                 "compiled CUDA kernels cannot be kept in %s (%s), so every start compiles them again; set "
                 "MGSR_CUDA_CACHE to a writable folder",

@@ -54,7 +54,7 @@ struct EnvironmentMapSight {
   OctahedralPlace<T> still, held;
 };
 
-// R: cam_from_world, row-major. normal: world, of any length. The sight is thrown to |n|^2 ray - 2 (n . ray) n, whose
+// R: cam_from_world, row-major. normal: world, of any length. The sight is reflected to |n|^2 ray - 2 (n . ray) n, whose
 // length doesn't matter.
 template <class T>
 MGSR_HD EnvironmentMapSight<T> reflect_sight(const T R[9], const T ray[2], const T normal[3]) {
@@ -65,10 +65,10 @@ MGSR_HD EnvironmentMapSight<T> reflect_sight(const T R[9], const T ray[2], const
   const T square = m.n[0] * m.n[0] + m.n[1] * m.n[1] + m.n[2] * m.n[2];
   m.square = select(square < T(kShortestNormal), T(kShortestNormal), square);
   const T twice = T(2) * m.across, least = T(1e-9) * m.square;
-  const T thrown[3] = {m.square * ray[0] - twice * m.n[0], m.square * ray[1] - twice * m.n[1], m.square - twice * m.n[2]};
+  const T reflected[3] = {m.square * ray[0] - twice * m.n[0], m.square * ray[1] - twice * m.n[1], m.square - twice * m.n[2]};
   T world[3];
-  for (int i = 0; i < 3; ++i) world[i] = R[i] * thrown[0] + R[3 + i] * thrown[1] + R[6 + i] * thrown[2];
-  const T back[3] = {thrown[0], thrown[1], -thrown[2]};
+  for (int i = 0; i < 3; ++i) world[i] = R[i] * reflected[0] + R[3 + i] * reflected[1] + R[6 + i] * reflected[2];
+  const T back[3] = {reflected[0], reflected[1], -reflected[2]};
   m.still = octahedral(world, least), m.held = octahedral(back, least);
   return m;
 }

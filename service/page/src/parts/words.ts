@@ -18,7 +18,7 @@ const STEPS: Record<string, string> = {
   load: "Reading the photographs",
   cameras: "Finding the cameras",
   check: "Checking the photographs",
-  outlines: "Learning the silhouettes",
+  learned_masks: "Learning the silhouettes",
   start: "Building the first surface",
   exposures: "Comparing the exposures",
   object: "Looking for the object",

@@ -53,7 +53,7 @@ export class UploadTray {
   private show(capture: Capture, stop: AbortController): (sent: number) => void {
     const bar = h("progress", { max: 1, value: 0, "aria-label": "Upload" });
     const words = h("span", { class: "note" });
-    const begun = performance.now();
+    const startedAt = performance.now();
     let first: number | null = null; // share that an earlier page has sent
     this.place.replaceChildren(
       h(
@@ -69,7 +69,7 @@ export class UploadTray {
     return (sent) => {
       const share = Math.min(sent / capture.archive.size, 1);
       first ??= share;
-      const left = ((performance.now() - begun) / 1000 / (share - first)) * (1 - share);
+      const left = ((performance.now() - startedAt) / 1000 / (share - first)) * (1 - share);
       bar.value = share;
       const rest = share >= 1 ? "the service checks the upload" : share - first > 0.02 ? `${duration(left)} left` : "";
       setText(words, [`${percent(share)} of ${bytes(capture.archive.size)}`, rest].filter(Boolean).join(" · "));

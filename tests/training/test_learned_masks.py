@@ -12,7 +12,7 @@ from mgsr.config import ExpertConfig, make_config
 from mgsr.data.scene import Scene, View
 from mgsr.errors import Cancelled
 from mgsr.native import runtime
-from mgsr.training.outlines import learned_outlines
+from mgsr.training.learned_masks import learn_masks
 from tests.optional import present
 from tests.training.ball import ball_scene, before, surface_points
 
@@ -25,7 +25,7 @@ def overlaps(masks: Sequence[np.ndarray], truth: Scene) -> np.ndarray:
 
 def short(iterations: int = 300) -> ExpertConfig:
     """Return options of a short training, as a ball needs no longer one."""
-    return make_config(overrides=[f"outlines.iterations={iterations}"]).expert
+    return make_config(overrides=[f"learned_masks.iterations={iterations}"]).expert
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +39,13 @@ def test_what_splats_come_to_cover_is_the_object(truth: Scene, color: tuple[int,
 
     The ball's paint has both light and dark patches, and a highlight that clips.
     """
-    told: list[float] = []
-    masks = learned_outlines(before(color, noise=0, scene=truth), seed=0, progress=told.append, expert=short())
+    reported: list[float] = []
+    masks = learn_masks(before(color, noise=0, scene=truth), seed=0, progress=reported.append, expert=short())
     assert masks is not None and all(mask.shape == (64, 64) and mask.dtype == np.uint8 for mask in masks)
     assert overlaps(masks, truth).min() > 0.96 and overlaps(masks, truth).mean() > 0.975
-    assert told == sorted(told) and told[-1] == pytest.approx(1) and any(0 < done < 0.5 for done in told)
+    assert (
+        reported == sorted(reported) and reported[-1] == pytest.approx(1) and any(0 < done < 0.5 for done in reported)
+    )
 
 
 def test_paint_of_the_backdrops_colour_makes_no_hole(truth: Scene) -> None:
@@ -59,7 +61,7 @@ def test_paint_of_the_backdrops_colour_makes_no_hole(truth: Scene) -> None:
 
     white = before((255, 255, 255), noise=0, scene=replace(truth, train=[painted(view) for view in truth.train]))
     by_colour = [255 * np.any(view.image < 250, axis=-1).astype(np.uint8) for view in white.train]
-    masks = learned_outlines(white, seed=0, expert=short())
+    masks = learn_masks(white, seed=0, expert=short())
     assert masks is not None
     assert overlaps(by_colour, truth).min() < 0.9 and overlaps(masks, truth).min() > 0.95
 
@@ -70,7 +72,7 @@ def test_the_same_seed_gives_the_same_masks(truth: Scene) -> None:
     try:
         for threads in (1, 2):
             runtime.set_threads(threads)
-            found.append(learned_outlines(scene, seed=1, expert=short(60)))
+            found.append(learn_masks(scene, seed=1, expert=short(60)))
     finally:
         runtime.set_threads(0)
     assert found[0] is not None and found[1] is not None
@@ -84,9 +86,9 @@ def test_none_where_photographs_contradict_each_other(truth: Scene) -> None:
     """
     scene = before((255, 255, 255), noise=0, scene=truth)
     gone = [replace(view, image=np.full_like(view.image, 255)) for view in scene.train[::2]]
-    assert learned_outlines(replace(scene, train=gone + scene.train[1::2]), seed=0, expert=short()) is None
+    assert learn_masks(replace(scene, train=gone + scene.train[1::2]), seed=0, expert=short()) is None
 
 
 def test_a_wish_to_stop_is_heeded(truth: Scene) -> None:
-    with pytest.raises(Cancelled, match="stopped on request in outlines after 0 iterations"):
-        learned_outlines(before((0, 0, 0), noise=0, scene=truth), seed=0, should_stop=lambda: True)
+    with pytest.raises(Cancelled, match="stopped on request in learned_masks after 0 iterations"):
+        learn_masks(before((0, 0, 0), noise=0, scene=truth), seed=0, should_stop=lambda: True)

@@ -30,7 +30,7 @@ from mgsr.start.starting_points import ball_points, hull_points
 from mgsr.training.proxy_model import small_view, train_proxy_model
 
 
-def learned_outlines(
+def learn_masks(
     scene: Scene,
     seed: int,
     should_stop: Callable[[], bool] = lambda: False,
@@ -47,12 +47,14 @@ def learned_outlines(
     """
 
     def learned(
-        start: StartingPoints, views: list[View], iterations: int, cost: float, told: Callable[[float], None]
+        start: StartingPoints, views: list[View], iterations: int, cost: float, report: Callable[[float], None]
     ) -> GaussianModel:
         stop, degree = should_stop, options.degree
-        return train_proxy_model(scene, start, views, degree, iterations, seed, "outlines", stop, told, cost, proxy)
+        return train_proxy_model(
+            scene, start, views, degree, iterations, seed, "learned_masks", stop, report, cost, proxy
+        )
 
-    options, proxy = expert.training.outlines, expert.training.outlines.proxy
+    options, proxy = expert.training.learned_masks, expert.training.learned_masks.proxy
     share = options.rough_iterations / (options.rough_iterations + options.iterations)
     with one_torch_thread():
         views = [small_view(view, options.rough_side) for view in scene.train]

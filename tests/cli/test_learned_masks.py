@@ -17,7 +17,7 @@ from tests.cli.test_run import SHORT
 
 pytestmark = pytest.mark.usefixtures("grainy_pictures")
 
-FEWER = ["--set", "rough_iterations=400", "--set", "outlines.iterations=500"]  # enough for spheres
+FEWER = ["--set", "rough_iterations=400", "--set", "learned_masks.iterations=500"]  # enough for spheres
 
 
 @pytest.fixture(scope="module")
@@ -44,10 +44,10 @@ def off_by(mesh: trimesh.Trimesh) -> float:
 def test_the_start_and_the_surface_keep_to_what_the_splats_cover(scene: Path, tmp_path: Path) -> None:
     report, mesh = run(scene, tmp_path / "learned")
     assert not report["input"]["masked"] and report["input"]["starting_points"]["source"] == "hull"
-    assert report["seconds"]["outlines"] > 0
+    assert report["seconds"]["learned_masks"] > 0
     held = off_by(mesh)
     assert held < 0.03, "pixels are 0.05 wide there"
     # Told that there is no backdrop: stereo has little to go by, and nothing holds the surface.
     report, mesh = run(scene, tmp_path / "without", "--set", "background=white")
-    assert report["input"]["starting_points"]["source"] == "stereo" and "outlines" not in report["seconds"]
+    assert report["input"]["starting_points"]["source"] == "stereo" and "learned_masks" not in report["seconds"]
     assert off_by(mesh) > 2 * held

@@ -1,0 +1,33 @@
+"""The properties of a scene that determine how long a run takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+USUAL_PIXELS = 256 * 256
+
+
+@dataclass(frozen=True)
+class CostFactors:
+    """The factors of a scene's cost.
+
+    views, tests: its training and test views; pixels: of one view, in the mean; truth: whether the true surface lies
+    beside it; shiny: whether shading may refine its mesh; masked: whether there are masks; learned: whether masks are
+    learned where there are none; flash: whether the light is a flash's; searched: whether an object is looked for where
+    there are no masks.
+    """
+
+    views: int
+    tests: int
+    pixels: float
+    truth: bool
+    shiny: bool = True
+    masked: bool = True
+    learned: bool = False
+    flash: bool = False
+    searched: bool = False
+
+    @property
+    def size(self) -> float:
+        """Return the pixels of a view as a share of the usual."""
+        return self.pixels / USUAL_PIXELS

@@ -61,9 +61,9 @@ def iterate(stage: Stage) -> None:
     bad = any_bad([step.loss.values, *gradients])
     step_trainables(dict.fromkeys(stage.trainables, 0.5), bad)
     for branch in stage.branches:
-        for seen in step.seen:
-            if seen.branch is branch:
-                branch.gather(seen.stats, view.camera.width, view.camera.height, seen.weight, bad)
+        for render in step.renders:
+            if render.branch is branch:
+                branch.gather(render.stats, view.camera.width, view.camera.height, render.weight, bad)
     if stage.convergence is not None:
         stage.convergence.converged(step.loss.value.detach(), 1, False)
     assert step.loss.values.device == META

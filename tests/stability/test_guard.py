@@ -83,7 +83,7 @@ def test_on_a_card_a_bad_steps_gradients_count_as_zero(name: str, bad: float) ->
         present(branch.optimizer.params[name].grad).view(-1)[5] = bad
         assert guard.admits(step, "r_0") and guard.bad is not None and bool(guard.bad)
         step_trainables({branch: 0.5}, guard.bad)
-        branch.gather(step.seen[0].stats, 24, 24, 1.0, guard.bad)
+        branch.gather(step.renders[0].stats, 24, 24, 1.0, guard.bad)
         for tensor in expected.optimizer.params.values():
             tensor.grad = torch.zeros_like(tensor)
         step_trainables({expected: 0.5})
@@ -103,7 +103,7 @@ def test_on_a_card_a_good_step_is_taken() -> None:
         step, before = step_of(stage), values(branch)
         assert guard.admits(step, "r_0") and not bool(guard.bad)
         step_trainables({branch: 0.5}, guard.bad)
-        branch.gather(step.seen[0].stats, 24, 24, 1.0, guard.bad)
+        branch.gather(step.renders[0].stats, 24, 24, 1.0, guard.bad)
     assert all(not torch.equal(values(branch)[name], tensor) for name, tensor in before.items())
     assert branch.densify_state.gradient_sum.any()
 

@@ -22,11 +22,10 @@ EVERY = 0.5
 PREVIEW_SIDE = 640
 CURVE_ROWS = 240
 
-# Seconds that the steps after training take: so many, and a share of training's (measured: draft and standard presets,
-# 48 views of 256 x 256 pixels, on two cores: 18 to 24 s after 36 s, 29 to 33 s after 180 s).
+# The steps after training take this many seconds, plus this share of the seconds of training.
 AFTER_SECONDS = 15.0
 AFTER_SHARE = 0.1
-# Progress before training, of which nobody knows yet how long it will take.
+# Progress at which a step before training begins. The duration of training is unknown then.
 BEFORE = {
     "unpack": 0.0,
     "load": 0.01,
@@ -39,8 +38,7 @@ BEFORE = {
     "plan": 0.05,
     "train": 0.05,
 }
-# Where the photographs have no cameras, the search for them takes this share of the progress, and all of BEFORE begins
-# after it (measured: preset standard, 56 photographs of 480 x 360 pixels).
+# A search for cameras takes this share of the progress, and all of BEFORE follows it.
 CAMERAS = 0.3
 # Shares of the time after training that have passed when a step begins.
 AFTER = {"export": 0.0, "mesh": 0.0, "evaluate": 0.5, "model": 0.7, "render": 0.92, "report": 0.96}
@@ -103,7 +101,7 @@ class Reporter:
         return self._after_search(begin), self._after_search(end)
 
     def _after_search(self, progress: float) -> float:
-        """Return the progress of a run of which `progress` would be that without a search for cameras."""
+        """Rescale progress 0..1 to leave room for the search for cameras."""
         return CAMERAS + (1 - CAMERAS) * progress if self._searched else progress
 
     def _train(self, training: Progress) -> None:

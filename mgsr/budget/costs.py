@@ -1,8 +1,8 @@
 """Cost model of a run's steps, in seconds of a reference machine: two idle cores with AVX2 kernels.
 
-Fitted by hand to runs with 32 to 264 pixels a side, 8 to 62 views, and the presets draft and standard; a step of one
-scene takes up to half more or less than of another. The planner measures the speed of the actual machine relative to
-it.
+The numbers are fitted to runs with 32 to 264 pixels a side, 8 to 62 views, and the presets draft and standard. The cost
+of a step varies by up to 50% between scenes. The planner measures the speed of the actual machine relative to the
+reference.
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ def load_cost(factors: CostFactors) -> float:
 def cameras_cost(photographs: int, pixels: float, frames: bool) -> float:
     """Return the seconds that the search for the cameras of so many photographs takes.
 
-    pixels: of a photograph, in the mean. frames: whether they are frames of a video; choosing these is not counted.
-    Measured on 56 photographs of 480 x 360 pixels.
+    pixels: mean pixels of a photograph. frames: whether they are frames of a video; their choice is not counted.
     """
     megapixels = min(pixels, FEATURE_PIXELS) / 1e6
     features = min(MOST_FEATURES, 6900 * megapixels) / 1190

@@ -1,8 +1,7 @@
 """The line of settings on which the presets are points: draft at 0, standard at 1, high at 2.
 
-Between two presets a number lies between theirs, in equal ratios; below draft it goes on in the same way.
-A setting that is not a number, or is 0 for none, comes from the nearest preset. A part that a preset lacks altogether
-begins just above that preset.
+Numbers are interpolated geometrically between two presets, and extrapolated below draft. A setting that is not a
+number, or is 0 for none, comes from the nearest preset. A part that a preset lacks begins just above that preset.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`mgsr`: the run and its steps singly. Each step reads what the one before left in OUT."""
+"""The program `mgsr`: a whole run, or its steps one by one. Each step reads the results of the step before from OUT."""
 
 from __future__ import annotations
 

@@ -78,10 +78,10 @@ def output_overrides(
 
 @contextmanager
 def refusals(resumes: bool = False) -> Iterator[None]:
-    """Turn what MGSR refuses into one message on stderr and exit code 2, and a stop into exit code 130.
+    """Report an MgsrError as one message on stderr with exit code 2, and a stop with exit code 130.
 
-    What signals end is cleaned up after. After a LostCardError the process ends at once. resumes: whether the command
-    has --resume.
+    Signals end the process after a clean-up. After a LostCardError the process ends at once. resumes: whether the
+    command has --resume.
     """
     try:
         with cleaned_up_after_signals():

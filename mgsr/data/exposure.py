@@ -1,8 +1,8 @@
 """Bring photographs taken at different exposures to a common one.
 
 A camera that sets its own exposure or white balance shows the same surface brighter in one photograph than in the next.
-`mgsr.training.exposure` finds for each photograph a factor on each channel's linear light against the common exposure.
-This module divides by that factor, so that everything that reads views afterwards sees one exposure.
+`mgsr.training.exposure` finds the gain of each photograph's channels in linear light, relative to the
+common exposure. This module divides by the gains, so all later steps see one exposure.
 """
 
 from __future__ import annotations

@@ -49,12 +49,12 @@ class _Task:
 
     @property
     def photos(self) -> SceneFolder:
-        """The folder of the photographs, which for videos are the chosen frames."""
+        """Return the folder of the photographs, or of a video's chosen frames."""
         return SceneFolder.at(self.folder.images if self.found.is_video else self.found.folder.root)
 
     @property
     def images(self) -> list[Path]:
-        """The files of the photographs."""
+        """Return the files of the photographs."""
         return sorted(self.folder.images.rglob("*.jpg")) if self.found.is_video else self.files
 
     def settings(self, seed: int) -> str:

@@ -182,7 +182,7 @@ def _without_cameras(folder: Path, given: Path, formats: Sequence[Format]) -> Fo
 
 
 def _unknown(folder: Path, given: Path, formats: Sequence[Format], files: Sequence[Path], images: int) -> SceneError:
-    """Return the error for a folder without a scene, photographs and videos, with what lies there and what to do."""
+    """Return the error for a folder without scene, photographs and videos. It lists the content and the remedy."""
     looked = "; ".join(kind.looks_for for kind in formats)
     archives = [path.name for path in files if path.name.lower().endswith(ARCHIVE_SUFFIXES)]
     videos = [path.name for path in files if is_video_name(path)]

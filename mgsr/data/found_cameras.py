@@ -53,12 +53,12 @@ class CameraFolder:
 
     @property
     def images(self) -> Path:
-        """The frames of a video."""
+        """Return the folder of a video's frames."""
         return self.path / IMAGES
 
     @property
     def database(self) -> Path:
-        """COLMAP's database of an unfinished search."""
+        """Return the path of COLMAP's database, for an unfinished search."""
         return self.path / DATABASE
 
     def state(self, photographs: str, settings: str | None) -> SearchState | None:

@@ -1,4 +1,4 @@
-"""The file that says where the object of a capture lies: a run's own, or one that a person has corrected or written."""
+"""The file that says where the object of a capture lies: written by a run, or by a user."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a scene's images lie: in memory, or beyond a limit in files that the system pages in and out."""
+"""Where a scene's images lie: in memory, or beyond a limit in memory-mapped files."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def _check_instructions(data: bytes) -> None:
 
 
 class _Kept:
-    """An object that keeps the arguments that it is made of and the state that it is given."""
+    """A record of an object's constructor arguments and of its state."""
 
     def __init__(self, *arguments: Any) -> None:
         self.arguments = arguments

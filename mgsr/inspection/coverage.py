@@ -106,7 +106,7 @@ def check_parallax(
         Finding(
             Code.LITTLE_PARALLAX,
             Severity.ERROR if widest < options.error_angle else Severity.WARNING,
-            f"all photographs see the object from within {widest:.1f} degrees, which tells next to nothing of depth",
+            f"the cameras span only {widest:.1f} degrees around the object, too little to measure depth",
             round(widest, 2),
             "deg",
             "walk around the object; turning the camera on the spot gives no depth",

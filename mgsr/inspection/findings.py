@@ -90,7 +90,7 @@ class InspectedPhoto:
 
 @dataclass(frozen=True)
 class Inspection:
-    """The findings, the worst first, and the photographs that were inspected. seconds: that it took."""
+    """The findings, the worst first, and the inspected photographs. seconds: duration of the inspection."""
 
     findings: tuple[Finding, ...]
     photographs: tuple[InspectedPhoto, ...]

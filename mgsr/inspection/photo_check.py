@@ -82,7 +82,7 @@ def check_masks(
             Finding(
                 Code.CUT_OFF,
                 Severity.NOTE,
-                f"{cut.sum()} of {len(views)} photographs do not show the object whole",
+                f"{cut.sum()} of {len(views)} photographs cut off a part of the object",
                 int(cut.sum()),
                 "photographs",
                 "step back for some of them, if parts of the surface are missing",
@@ -98,7 +98,7 @@ def check_masks(
             Finding(
                 Code.CONTRADICTORY_MASK,
                 Severity.WARNING,
-                f"the masks of {len(odd)} of {len(views)} photographs leave out a part of what the others have",
+                f"the masks of {len(odd)} of {len(views)} photographs miss a part of the object that the others show",
                 round(float(shares[odd].max()), 3),
                 "share",
                 "mend or remove these masks; if all look right, the poses are wrong",

@@ -121,8 +121,8 @@ def _clusters(names: Sequence[str], groups: PoseGroups, against: Sequence[Pair])
             Finding(
                 Code.DOUBLED_STRUCTURE,
                 Severity.ERROR,
-                f"{len(mine)} photographs see a second copy of what the others see: matches of {len(between)} pairs "
-                f"are off by {off:.0f} px, though the {len(mine)} agree among themselves",
+                f"{len(mine)} photographs show a second copy of the structure: they agree among themselves, but their "
+                f"matches with the others are off by {off:.0f} px in {len(between)} pairs",
                 round(off, 1),
                 "px",
                 f"{_ANEW}, with more photographs between the two groups, or {_LEAVE_OUT}",
@@ -192,7 +192,7 @@ def _inaccurate(pairs: Sequence[Pair], count: int, options: InspectionConfig) ->
         Finding(
             Code.INACCURATE_POSES,
             Severity.WARNING,
-            f"the cameras fit the photographs to {middle:.1f} px only, in the median of {matched} pairs",
+            f"the matches of {matched} pairs have a median error of {middle:.1f} px under the cameras",
             round(middle, 2),
             "px",
             f"{_ANEW}; 0.5 px or better is usual",
@@ -212,8 +212,8 @@ def _separate(names: Sequence[str], groups: PoseGroups, features: Sequence[int],
         Finding(
             Code.SEPARATE_GROUPS,
             Severity.NOTE,
-            f"{others.sum()} of {total} photographs share no features with the largest group, so that their poses "
-            "can't be compared with the others'",
+            f"{others.sum()} of {total} photographs share no features with the largest group, so their poses cannot be "
+            "compared",
             int(others.sum()),
             "photographs",
             "add photographs between the groups if the surface is doubled or torn",
@@ -234,12 +234,12 @@ def check_movement(pairs: Sequence[Pair], options: InspectionConfig = Inspection
     share = float(((still + moved) / counts)[(still + moved) >= least // 2].sum() / len(matched))
     if share < options.poses.moving:
         return []
-    cause = "stands still in the image (a turntable?)" if still.sum() > moved.sum() else "moves by itself"
+    cause = "stand still in the image (a turntable?)" if still.sum() > moved.sum() else "move by themselves"
     return [
         Finding(
             Code.MOVING_BACKGROUND,
             Severity.WARNING,
-            f"{share:.0%} of what the photographs share {cause}, against the cameras",
+            f"{share:.0%} of the matches contradict the cameras' motion: they {cause}",
             round(share, 3),
             "share",
             "give masks of the object, or of what moves (docs/inputs.md, Masks)",

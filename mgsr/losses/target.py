@@ -15,10 +15,11 @@ from mgsr.ops.pixels import covered
 class Target:
     """One photograph, ready for the losses.
 
-    color [H,W,3] float32 0..1, composited on the background that the rendering has too; alpha [H,W] float32 0..1, or
-    None without masks; camera: whose view it is; region (y0, y1, x0, x1), ends excluded: where the photographic losses
-    look, None for everywhere; invalid [P] int64: the pixels that the photograph does not show, row x W + column, None
-    if it shows all.
+    color [H,W,3] float32 0..1: composited on the same background as the rendering.
+    alpha [H,W] float32 0..1: None without masks.
+    camera: of the photograph.
+    region (y0, y1, x0, x1): the box of the photographic losses, ends excluded; None: the whole image.
+    invalid [P] int64: the flat indices (row x W + column) of invalid pixels; None if all pixels are valid.
     """
 
     color: Tensor
@@ -26,7 +27,7 @@ class Target:
     camera: Camera
     region: tuple[int, int, int, int] | None = None
     off_edge: Tensor | None = None  # [H,W] float32: 0 near the mask's outline, 1 elsewhere; None without masks
-    off_edge_sum: float | None = None  # over all pixels, beside off_edge; None where nobody knows it
+    off_edge_sum: float | None = None  # over all pixels, beside off_edge; None if not computed
     invalid: Tensor | None = None
 
     def compared(self, rendered: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:

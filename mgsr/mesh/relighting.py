@@ -57,7 +57,7 @@ class SeenSurface:
         return np.asarray(rays.reshape(rows // SAMPLES, SAMPLES, columns // SAMPLES, SAMPLES, 4).mean(axis=(1, 3)))
 
     def _matte(self, light: np.ndarray) -> np.ndarray:
-        """Return what the hits [P,3] scatter of the light."""
+        """Return the diffuse radiance [P,3] at the hits."""
         return np.asarray(self.albedo * irradiance(light, self.normals))
 
     def _glossy(self, light: np.ndarray) -> np.ndarray:

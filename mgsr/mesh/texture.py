@@ -74,8 +74,8 @@ def texture_mesh(
 def _albedo_scale(colors: np.ndarray, material: Material, options: TextureOptions) -> np.ndarray:
     """Return the factors [3] that make albedo of colours [V,3], linear, in the unit of the photographs.
 
-    They are the inverse of the mean light, which a dielectric's gloss tells, or 1 where it is not known. The light of
-    clipped lamps is not known either, so the factors are reduced until nearly all albedo is at most `brightest`.
+    They are the inverse of the mean light, derived from the gloss of a dielectric, or 1 if the mean light is unknown.
+    Clipped lamps hide a part of the light, so the factors are reduced until nearly all albedo is at most `brightest`.
     """
     light = material.mean_light()
     if light is None:

@@ -36,8 +36,8 @@ def estimate_presets(
 ) -> list[Estimate]:
     """Return what a run on a scene, or on the path of one, would take at each preset.
 
-    config: the settings; those that differ from its preset's stay as they are at each preset. It reads the photographs
-    and times some iterations of training. Raises as `run_scene` does before training.
+    config: the settings; those that differ from its preset's are kept for every preset. The photographs are read, and
+    some iterations of training are timed. Raises the errors of `run_scene` before training.
     """
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)

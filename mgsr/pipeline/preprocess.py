@@ -269,7 +269,7 @@ def _object_place(scene: Scene, config: Config) -> ObjectPlace | None:
 
 
 def _with_irradiance(scene: Scene, lighting: Lighting | None, config: Config, out: Path, step: Steps) -> Scene:
-    """Add a flash's irradiance to the scene's views, where a flash was found and training shall know of it."""
+    """Add a flash's irradiance to the scene's views, if a flash was found and `train.flash` is on."""
     if lighting is None or not config.train.flash:
         return scene
     with step("start", "computing the irradiance of the flash in each view"):

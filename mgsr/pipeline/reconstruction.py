@@ -79,18 +79,18 @@ class Reconstruction:
 
     @cached_property
     def normalised_model(self) -> TrainedModel:
-        """The model in the normalised frame, where it is rendered."""
+        """Return the model in the normalised frame, where it is rendered."""
         frame = Similarity(self.normalisation.scale, self.normalisation.offset - self.origin)
         return self.model.to_scene(frame)
 
     @cached_property
     def normalised_flash(self) -> Lighting | None:
-        """The flash in the normalised frame."""
+        """Return the flash in the normalised frame."""
         return None if self.flash is None else self.flash.moved(self.normalisation.inverse)
 
     @property
     def surface_depth(self) -> SurfaceDepth:
-        """Which depth of the surfels is the surface."""
+        """Return which depth of the surfels is the surface."""
         return SurfaceDepth((self.report.settings or {})["train"]["paper"]["surface_depth"])
 
 

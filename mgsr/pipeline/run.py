@@ -97,7 +97,7 @@ def train_only(
     progress: EventCallback = ignore,
     should_stop: StopCheck = never,
 ) -> TrainResult:
-    """Train as `run_scene` does before it extracts the surface, and leave the splats in `out`.
+    """Run the training stages of `run_scene` up to mesh extraction, and write the splats to `out`.
 
     The arguments and errors are those of `run_scene`. Raises ConfigError for a time budget, which is for whole runs.
     """
@@ -153,8 +153,10 @@ def _make_surface(run: _Run, trained: TrainResult) -> _Surface:
 
 
 def _set_reflector(run: _Run, training: _TrainingStep, trained: TrainResult, mesh: ReconstructedMesh) -> bool:
-    """Let the finished mesh reflect the environment map, where that is of use; return whether the map is to be learned
-    anew for it."""
+    """Attach the finished mesh as the reflector of the environment map if that is useful.
+
+    Returns whether the map is trained again for it.
+    """
     # With a mesh of few faces, or too little time to relearn the map, reflections would be worse than the splats'.
     fit = run.config.mesh.max_faces is None
     if run.budget is not None:

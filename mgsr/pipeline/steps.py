@@ -35,7 +35,7 @@ class StepClock:
 
     @property
     def total(self) -> float:
-        """Seconds since the start."""
+        """Return the seconds since the start."""
         return time.perf_counter() - self._started_at
 
     @contextmanager

@@ -64,7 +64,7 @@ def stage_name(stage: str) -> str:
 
 
 def with_decisions(data: ReportData) -> ReportData:
-    """Return the same run with its decisions told, unless it brings its own."""
+    """Fill in the decisions of a report that has none."""
     return data if data.decisions else replace(data, decisions=tell_decisions(data))
 
 
@@ -127,7 +127,7 @@ def _about_input(data: ReportData) -> Iterator[Decision]:
         )
         yield Decision("Backdrop", f"plain, {color}", why)
     start = given.starting_points
-    # Masks that come to nothing leave a start without them.
+    # If no masks could be learned, the start does without them.
     if backdrop is not None and (start is None or start.source not in ("stereo", "ball")):
         why = "Splats need only cover the object, so their opacity shows its silhouettes."
         yield Decision("Silhouettes", "learned for the start and the surface", why)

@@ -82,7 +82,7 @@ def mirrorings(
 
 
 class Substance(Enum):
-    """What a glossy surface may be of."""
+    """The material classes of a glossy surface that are compared."""
 
     DIELECTRIC = "dielectric"
     BLACK_DIELECTRIC = "black dielectric"
@@ -172,10 +172,10 @@ class _Fit:
         return fitted
 
     def deviation(self, values: np.ndarray, roughness: float, light: np.ndarray) -> float:
-        """Return the root mean square of what a light leaves of values [Q] in the held-out photographs.
+        """Return the root mean square residual of values [Q] under a light, in the held-out photographs.
 
-        The matte part of each point is that of the training photographs. Residuals above `outlier` count no more than
-        it, as for what the model does not know, such as second reflections.
+        The matte part of each point is that of the training photographs. Residuals are clipped at `outlier`, because
+        the model has no second reflections.
         """
         seen = self._seen
         residual = values - self._share(roughness) * self.spread(light, roughness)
@@ -266,7 +266,7 @@ class GgxLobe:
         return self._filtered(light, self._spectrum)
 
     def gather(self, values: np.ndarray) -> np.ndarray:
-        """Return what the transpose of `blur` makes of values [2*height^2,...]."""
+        """Apply the transpose of `blur` to values [2*height^2,...]."""
         return self._filtered(values, self._spectrum.transpose(0, 2, 1))
 
     def _filtered(self, cells: np.ndarray, spectrum: np.ndarray) -> np.ndarray:

@@ -1,9 +1,9 @@
 """Shading of a surface under static light, separated from its colours.
 
-Brightness changes with the direction of a surface and with what hides the sky, albedo changes at few places. So the
-light is chosen that explains most of the change between neighbouring places, and steps of the albedo count as outliers
-(Retinex; Land and McCann, 1971). The light is low in frequency, as matte surfaces show no more of it (Ramamoorthi and
-Hanrahan, 2001), and its mean is white and 1.
+Brightness changes with the direction of a surface and with its view of the sky. Albedo changes at few places. The fit
+chooses the light that explains most of the change between neighbouring places; steps of the albedo count as outliers
+(Retinex; Land and McCann, 1971). The light has low frequencies only, because matte surfaces reveal no others
+(Ramamoorthi and Hanrahan, 2001). Its mean is white and 1.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from mgsr.shading.environment_fit import cell_directions
 class StaticLight:
     """Static light on the vertices of a mesh, relative to its mean.
 
-    irradiance [V,3], over pi, with what the surface itself sends. harmonics [9,3]: the sky's radiance, as coefficients
-    of `real_harmonics`; the first are 1.
+    irradiance [V,3]: over pi, interreflections included. harmonics [9,3]: the sky's radiance, as coefficients of
+    `real_harmonics`; the first are 1.
     """
 
     irradiance: np.ndarray
@@ -35,9 +35,9 @@ class StaticLight:
     def environment(self, height: int, freedom: float = StaticLightOptions().freedom) -> np.ndarray:
         """Return a sky [height,2*height,3], nowhere negative, that gives matte surfaces the same irradiance.
 
-        Harmonics of a low degree are negative in places. Matte surfaces do not tell what the higher degrees are; so
-        the sky is the nearest one that has these harmonics and is nowhere negative. freedom: what a change of the
-        radiance costs, relative to the same change of a harmonic.
+        Harmonics of a low degree are negative in places, and matte surfaces do not reveal the higher degrees. The
+        result is the nearest nonnegative sky with these harmonics. freedom: cost of a change of the radiance, relative
+        to the same change of a harmonic.
         """
         directions = cell_directions(height).reshape(-1, 3)
         areas = np.sqrt(1 - directions[:, 2] ** 2)
@@ -60,11 +60,11 @@ def fit_static_light(
 ) -> StaticLight:
     """Find the static light on a mesh's vertices.
 
-    colors [V,3]: the light that the vertices send out, linear. They also light each other. Where no light explains the
-    colours better, the light is even, and only the hidden parts of the sky count.
+    colors [V,3]: linear radiance of the vertices, which also light each other. If no light explains the colours better,
+    the sky is uniform, and only occlusion counts.
     """
     colors = np.maximum(colors.astype(np.float64), 1e-3)
-    # The rays' noise would be explained by a sky as bright as the surface.
+    # Smooth both: the fit would explain the noise of the rays by a sky as bright as the surface.
     sky, bounced = (diffuse(each, mesh.laplacian, options.reach) for each in (seen.sky, seen.surface @ colors))
     first, second = _pairs(mesh, seed, options)
     logs = np.log(colors)
@@ -94,7 +94,7 @@ def _fit_light(
 ) -> np.ndarray:
     """Return the light [9] that explains the changes of the log brightness [V] between pairs of vertices [Q].
 
-    sky [V,9] and bounced [V]: as in `static_irradiance`, of one channel.
+    sky [V,9] and bounced [V]: as in `fit_static_light`, of one channel.
     """
     change, constant = logs[first] - logs[second], sky[:, 0] + bounced
     prior_weight = options.prior * len(change) ** 0.5

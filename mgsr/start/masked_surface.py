@@ -79,7 +79,7 @@ def find_surface(
 def _hull_or_stereo_surface(
     photos: PhotoSet, hull: Hull, seed: int, progress: Callable[[float], None], expert: ExpertConfig
 ) -> Mesh:
-    """Return the hull's surface if the photographs speak clearly for it, else the surface that stereo finds.
+    """Return the hull's surface if the photographs clearly prefer it, else the surface that stereo finds.
 
     The hull wins if a mirrored environment map explains the photographs on it. Otherwise stereo's depths are fused, and
     a pixel weighs less where the hull explains it better. Reflections move across a surface like a pattern behind it,

@@ -18,8 +18,8 @@ from mgsr.training.trainable import Kind, Trainable, copied
 
 log = logging.getLogger("mgsr.training")
 
-# A loss blows up when its mean over a stretch is this many times the usual one, and this much more: a loss of
-# images within 0..1 starts near 0.3 and ends near 0.03.
+# A loss diverges when its mean since the last check exceeds the usual loss by this factor and by this amount. Losses of
+# images within 0..1 start near 0.3 and end near 0.03.
 BLOW_UP_FACTOR, BLOW_UP_RISE = 5.0, 0.1
 # Consecutive bad steps before the branches are restored, and consecutive restorations before training fails.
 MOST_BAD_STEPS, MOST_RETURNS = 3, 3
@@ -51,10 +51,9 @@ class Guard:
         """Return whether the step may be taken.
 
         On a GPU the answer is always yes; the optimiser then reads `bad` and treats the gradients of a bad step as
-        zero. Raises TrainingError where going back did not help.
+        zero. Raises TrainingError if restoring the last good state fails repeatedly.
         """
-        # The colours' gradients, most of the numbers, are skipped: whatever spoils them also spoils those of opacities
-        # and centres.
+        # Gradients of colours are not checked, to save time: a bad one comes with a bad gradient of opacity or centre.
         bad = any_bad([step.loss.values, *_tensors(self.stage.trainables, "grad", without=SH_NAMES)])
         if on_card(bad):
             self._dropped.append(bad)

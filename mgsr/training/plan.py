@@ -196,9 +196,9 @@ def _gaussian_warmup(
 
 
 def _pruning(branch: Branch[Any], views: list[TrainingView]) -> Callable[[], int]:
-    """Return a function that prunes a branch's splats of least contribution, and returns their number.
+    """Return a function that prunes the splats of least contribution from a branch, and returns their number.
 
-    The pruned splats together contribute less than the share in the branch's settings.
+    Together they contribute less than the share that the branch's settings give.
     """
     share = branch.densify.prune_contribution
 
@@ -256,7 +256,7 @@ def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list
         return 1, densify.mutual_stop * stage.iterations
 
     def progress(part: Trainable[Any], iteration: int) -> float:
-        # A warm-up that stopped early leaves the rest of its fading to this stage. The first that trains a part is it.
+        # The warm-up, the first stage that trains a part, may stop early. This stage completes the decay of its rates.
         planned = next(each.iterations for each in stages if part in (*each.branches, each.environment_map))
         share = (part.steps - iteration) / max(1, planned + stage.iterations)
         return share + (1 - share) * iteration / max(1, stage.iterations)
@@ -316,7 +316,7 @@ def _measure(train_state: TrainState, branch: str, photographs: _Photographs) ->
 
 
 def _silhouettes_count(config: Config) -> bool:
-    """Return whether the alpha losses of both branches look after what lies outside the masks' boxes."""
+    """Return whether the alpha losses of both branches cover the pixels outside the masks' boxes."""
     return config.train.surfels.alpha_weight > 0 and config.train.gaussians.alpha_weight > 0
 
 

@@ -89,9 +89,9 @@ class Training:
                 self._trainer.resume()
 
     def set_reflector(self, mesh: Mesh) -> bool:
-        """Let the finished mesh reflect the environment map from here on; return whether FINISH has work then.
+        """Attach the finished mesh, which reflects the environment map, and return whether the stage FINISH will run.
 
-        mesh: in the scene's frame. Call it before that stage.
+        mesh: in the scene's frame. Call this before that stage.
         """
         with one_torch_thread(), card_explained():
             return self._trainer.plan.set_reflector(Reflector(mesh))

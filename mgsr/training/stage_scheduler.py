@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-FINISH = "finish"  # the stage after the surface was made
+FINISH = "finish"  # the stage after mesh extraction
 
 
 class StageLength(Protocol):
@@ -25,9 +25,9 @@ class StageScheduler(Protocol):
     """A stage scheduler, which is asked before every iteration."""
 
     def length(self, stages: Sequence[StageLength], index: int, splats: Mapping[str, int]) -> int:
-        """Return how many iterations the stage with this index shall have in all: at least one more than it has done.
+        """Return the total number of iterations of the stage with this index, at least one more than it has done.
 
-        splats: how many each branch has.
+        splats: the number of splats of each branch.
         """
 
     def state(self) -> dict[str, Any]:

@@ -38,7 +38,7 @@ KEPT_NORMALS = 256 * 2**20  # bytes
 
 @dataclass(frozen=True)
 class RenderStats:
-    """What densification needs of one render: its branch, its screen-space figures and its weight in the loss."""
+    """The statistics of one render for densification: branch, screen-space statistics, and weight in the loss."""
 
     branch: Branch[Any]
     stats: Any
@@ -47,7 +47,7 @@ class RenderStats:
 
 @dataclass(frozen=True)
 class Step:
-    """One iteration's loss, and what densification needs of its renders."""
+    """The loss of one iteration, and the statistics of its renders."""
 
     loss: Loss
     renders: list[RenderStats]
@@ -92,11 +92,15 @@ class ModelSelection(Protocol):
 class Stage:
     """A stage of training and its progress; a scheduler may change its number of iterations during training.
 
-    branches and environment_map: the models to train. compute renders one view on a background and returns its Step,
-    given the iteration (from 0); window gives the first and last iteration of a branch's densification; progress 0..1
-    of the whole run, for one of its trainables. selection: chooses a model during the stage; coarse: the smaller views
-    at the start; prune: drops splats at the end, and returns their number; growth: adapts the splats of a branch
-    without gradient-based densification; clearance: the regions to keep free of splats.
+    branches, environment_map: the models to train.
+    compute: renders a view on a background in an iteration, counted from 0, and returns its Step.
+    window: returns the first and the last iteration of a branch's densification.
+    progress: returns the progress of the whole run, 0..1, for one of its trainables.
+    selection: chooses a model during the stage.
+    coarse: the smaller views at the start.
+    prune: drops splats at the end, and returns their number.
+    growth: adapts the splats of a branch without gradient-based densification.
+    clearance: the regions to keep free of splats.
     """
 
     name: str

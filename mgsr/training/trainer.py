@@ -67,9 +67,9 @@ class Trainer:
         return time.perf_counter() - self._clock_start
 
     def run(self, before: str | None = None) -> None:
-        """Run every stage that is left, or those before the stage of that name.
+        """Run the remaining stages, up to but excluding the stage `before`.
 
-        Raises Cancelled when should_stop says so, TrainingError when numbers go bad.
+        Raises Cancelled once should_stop returns True, and TrainingError if training diverges.
         """
         self._clock_start += time.perf_counter() - self._left_at
         while self.stage_index < len(self.plan.stages):
@@ -160,7 +160,7 @@ class Trainer:
             stage.iterations = self.scheduler.length(self.plan.stages, self.stage_index, self._counts())
 
     def _select_model(self, stage: Stage, selection: ModelSelection) -> None:
-        """Let the stage's model selection decide; a run that stops inside it resumes before it."""
+        """Run the stage's model selection. A run that stops during it repeats it on resume."""
         self.save()
         done_before = self._done(stage)
 

@@ -30,11 +30,14 @@ class TrainingView:
     Each iteration converts it to a target. Hundreds of large photographs as floats would fill the memory; as bytes they
     share the scene's memory.
 
-    image [H,W,3] uint8, straight colours; mask [H,W] uint8 or None; region: the box of the photographic losses (see
-    Target); off_edge [H,W] bool: the pixels away from the mask's contour; covered [P] int64: the flat indices (row x W
-    + column) of pixels that the mask touches, None without masks; invalid [P] int64: the flat indices of invalid
-    pixels, None where all are valid. There, the mask is 0 and the image arbitrary. irradiance [H,W] uint8: as in
-    `View`.
+    image [H,W,3] uint8: straight colours.
+    mask [H,W] uint8: None without masks.
+    region: the box of the photographic losses (see Target).
+    off_edge [H,W] bool: the pixels away from the mask's contour.
+    covered [P] int64: the flat indices (row x W + column) of pixels that the mask touches; None without masks.
+    invalid [P] int64: the flat indices of invalid pixels, where the mask is 0 and the image arbitrary; None if all
+    pixels are valid.
+    irradiance [H,W] uint8: as in `View`.
     """
 
     name: str

@@ -152,15 +152,15 @@ class FrameOptions(Options):
     motion_side: Annotated[int, Range(32)] = 320  # pixels; longer side at which motion is measured
     sharpness_side: Annotated[int, Range(32)] = 960  # pixels; longer side at which sharpness is measured
     sigma: Positive = 1.5  # pixels; detail finer than this is what blur takes away
-    features: Count = 200  # that are followed from frame to frame
-    min_left: Share = 0.6  # of the features; with fewer left, they are found anew
-    min_features: Count = 8  # with fewer, there is no motion to measure
-    stretch: Positive = 0.01  # motion after which features are found anew
-    quantile: Share = 0.75  # of the features' motions that counts; those on a still background may be many
+    features: Count = 200  # features that are followed from frame to frame
+    min_left: Share = 0.6  # share of the features below which they are detected again
+    min_features: Count = 8  # least features that measure a motion
+    stretch: Positive = 0.01  # motion after which features are detected again
+    quantile: Share = 0.75  # quantile of the features' motions that counts; many may lie on a still background
     step: Positive = 0.04  # motion between two chosen frames
-    min_step: Positive = 0.01  # the same, in videos that show little
+    min_step: Positive = 0.01  # least motion between two chosen frames, in videos with little motion
     min_frames: Count = 40  # frames below which the steps get smaller
-    apart: Share = 0.4  # of a step, the least motion between two chosen frames
+    apart: Share = 0.4  # share of a step; least motion between two chosen frames
     quality: Annotated[int, Range(1, 100)] = 97  # of JPEG
     knee: Annotated[float, Range(0, 0.99)] = 0.8  # of diffuse white; brighter light of HDR videos is compressed
 
@@ -171,11 +171,11 @@ class ImagePairOptions(Options):
 
     exhaustive: Count = 150  # photographs up to which all pairs are compared
     exhaustive_frames: Count = 50  # frames of videos up to which all pairs are compared
-    similar: WholeNumber = 30  # photographs that look most like one, which it is compared with
-    similar_frames: WholeNumber = 10  # the same for frames of videos
-    following: Count = 10  # photographs that follow one by name, which it is compared with
-    words: Pair = 1024  # of the vocabulary that tells how alike photographs look
-    sample: Count = 100_000  # features from which the vocabulary is made
+    similar: WholeNumber = 30  # photographs of the most similar look that each photograph is compared with
+    similar_frames: WholeNumber = 10  # frames of the most similar look that each frame of a video is compared with
+    following: Count = 10  # following photographs, by name, that each photograph is compared with
+    words: Pair = 1024  # words of the vocabulary that measures how similar photographs look
+    sample: Count = 100_000  # features from which the vocabulary is learned
     ordered: Share = 0.8  # share of the photographs whose number follows that of the one before, from which names
     # count as ordered
 
@@ -186,9 +186,9 @@ class ZoomCheckOptions(Options):
 
     max_change: NotNegative = 0.03  # relative difference of a photograph's own focal length; fixed lenses stay within
     # 0.02
-    min_points: Count = 30  # of a photograph, with fewer of which its focal length is unknown
-    min_share: Share = 0.05  # of the photographs; blur or moving things explain fewer
-    min_photographs: Count = 2  # the same, as a number
+    min_points: Count = 30  # least points of a photograph whose focal length is known
+    min_share: Share = 0.05  # least share of such photographs for a warning; blur or motion explain fewer
+    min_photographs: Count = 2  # least number of such photographs for a warning
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ class ContourOptions(Options):
     """The registration of a mesh to silhouette contours; pixels are those of the masks."""
 
     coarse_edge: Positive = 1.0  # pixels; edge length of the coarse mesh that carries the smooth correction
-    max_faces: Count = MAX_FACES  # of that mesh
+    max_faces: Count = MAX_FACES  # most faces of the mesh with that edge length
     prior_weight: Positive = 0.02  # of a displacement of 0 where no contour touches; a vertex follows its neighbours
     rounds: WholeNumber = 2  # of finding the mesh's contours and moving its vertices
     search: ContourSearchOptions = field(default_factory=ContourSearchOptions)
@@ -47,7 +47,7 @@ class LowFrequencyOptions(Options):
     """
 
     edge: Positive = 1.0  # units; edge length of the coarse mesh that is smoothed
-    max_faces: Count = MAX_FACES  # of that mesh
+    max_faces: Count = MAX_FACES  # most faces of the mesh with that edge length
     reach: Positive = 2.5  # units; standard deviation of the Gaussian that weighs a vertex's neighbours
     far: Positive = 2.0  # times reach; neighbours farther away do not count
     rounds: Count = 3  # of filtering the normals

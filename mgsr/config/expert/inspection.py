@@ -32,10 +32,10 @@ class FeatureOptions(Options):
 class PairOptions(Options):
     """The comparison of pairs of photographs with their cameras."""
 
-    nearest: WholeNumber = 4  # photographs that each is compared with, the nearest by camera
-    alike: WholeNumber = 5  # the same, those that look most alike, wherever they are
+    nearest: WholeNumber = 4  # photographs with the nearest cameras that each photograph is compared with
+    alike: WholeNumber = 5  # photographs of the most similar look that each photograph is compared with
     inlier: Positive = 1.5  # pixels from the epipolar line of the pair's own geometry
-    min_matches: Count = 24  # in one geometry, below which a pair is no evidence; by chance there are about 10
+    min_matches: Count = 24  # least matches of one geometry in a pair that counts as evidence; chance gives about 10
     explained: Share = 0.6  # share of the matches on the cameras' epipolar lines that needs no other explanation
     off: Positive = 4.0  # pixels from the cameras' epipolar line beyond which a match contradicts them
 
@@ -48,13 +48,13 @@ class VerdictOptions(Options):
     """
 
     agrees: Positive = 1.5  # pixels; median residual below which a pair agrees with its cameras
-    agrees_usual: NotNegative = 3.0  # the same, times the usual residual
+    agrees_usual: NotNegative = 3.0  # multiple of the usual residual below which a pair agrees with its cameras
     contradicts: Positive = 5.0  # pixels; median residual above which a pair contradicts its cameras
-    contradicts_usual: NotNegative = 8.0  # the same, times the usual residual
+    contradicts_usual: NotNegative = 8.0  # multiple of the usual residual above which a pair contradicts its cameras
     meets: Positive = 2.0  # pixels by which the rays of three photographs may miss each other
-    meets_usual: NotNegative = 4.0  # the same, times the usual residual
+    meets_usual: NotNegative = 4.0  # multiple of the usual residual by which such rays may miss each other
     max_usual: NotNegative = 4.0  # pixels; largest usual residual that counts
-    min_shared: Count = 8  # points of three photographs, with fewer of which they are no evidence
+    min_shared: Count = 8  # least points that three photographs share to count as evidence
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,10 @@ class PoseCheckOptions(Options):
     majority: Share = 0.5  # share of the decided photographs that the largest group must have to accuse others
     many: Share = 0.1  # share of the photographs with contradictory poses above which the finding is an error
     less_exact: Positive = 0.7  # pixels; residual of a photograph's better pairs above which it fits less exactly
-    less_exact_usual: NotNegative = 4.0  # the same, times the usual residual
-    less_exact_pairs: Annotated[int, Range(2)] = 3  # pairs of a photograph, with fewer of which it is not judged
+    less_exact_usual: NotNegative = 4.0  # multiple of the usual residual above which a photograph fits less exactly
+    less_exact_pairs: Annotated[int, Range(2)] = 3  # least pairs of a photograph that is judged
     inaccurate: NotNegative = 1.5  # pixels; usual residual above which poses are called inaccurate
-    repeated: NotNegative = 0.15  # pairs that contradict, in proportion to those that agree, inside one group
+    repeated: NotNegative = 0.15  # largest ratio of contradicting to agreeing pairs inside one group
     connected: Share = 0.8  # share of the photographs with many features that one group should have
     moving: Share = 0.15  # share of the matches that follow another motion, in the mean of the pairs
 
@@ -82,10 +82,10 @@ class CoverageOptions(Options):
     seen: Angle = 50.0  # degrees between a side of the object and a camera, beyond which the view is grazing at best
     underside: Share = 0.35  # sine of the angle below the horizon beyond which a side belongs to the underside
     min_gap: Share = 0.03  # share of the sphere, without the underside
-    directions: Count = 1500  # in which sides are tested
-    max_places: Count = 6  # for further photographs that a finding names
-    error_angle: Angle = 4.0  # degrees between the two cameras that stand farthest apart, below which it is an error
-    small_angle: Angle = 12.0  # the same, below which it is a warning
+    directions: Count = 1500  # directions in which the object's sides are tested
+    max_places: Count = 6  # most places for further photographs that a finding names
+    error_angle: Angle = 4.0  # degrees between the two most distant cameras below which the finding is an error
+    small_angle: Angle = 12.0  # degrees between the two most distant cameras below which the finding is a warning
 
 
 @dataclass(frozen=True)
@@ -93,16 +93,16 @@ class PhotoCheckOptions(Options):
     """The check of single photographs, their masks and their lenses."""
 
     jumps: NotNegative = 0.05  # spread of log light above chance
-    shared_places: Annotated[int, Range(4)] = 16  # matches of a photograph, with fewer of which its light is unknown
+    shared_places: Annotated[int, Range(4)] = 16  # least matches of a photograph whose light is known
     min_known: Share = 0.5  # share of the photographs whose light must be known
     common: Share = 0.6  # correlation of the light of both halves of the photographs; gloss changes one half alone
     outlier: Annotated[float, Range(1)] = 2.0  # factor against the neighbours' light beyond which highlights or shadows
     # are lost
     small_share: Share = 0.2  # diameter of a small object, as a share of the image's shorter side
-    small_pixels: NotNegative = 100.0  # the same in pixels
+    small_pixels: NotNegative = 100.0  # pixels; diameter of a small object
     cut_off: Share = 0.5  # share of the photographs that cut the object off, above which a finding says so
-    left_out: Share = 0.3  # share of the object, as the other masks have it, that a mask may leave out; few views give
-    # up to 0.24
+    left_out: Share = 0.3  # share of the object in the other masks that a mask may leave out; few views give up
+    # to 0.24
     contour_side: Annotated[int, Range(16)] = 200  # pixels at which masks are compared
     focal: NotNegative = 0.1  # relative difference of focal lengths above which lenses differ
     wide: Angle = 100.0  # degrees across the image above which a lens is wide

@@ -17,15 +17,15 @@ from mgsr.config.options import Count, NotNegative, Options, Positive, Range, Sh
 class PullIntoHullOptions(Options):
     """The pull of vertices into the silhouettes."""
 
-    rounds: WholeNumber = 3  # of moving vertices along their normals
+    rounds: WholeNumber = 3  # rounds of moving vertices along their normals
 
 
 @dataclass(frozen=True)
 class RemoveContradictedOptions(Options):
     """The removal of patches with a large photometric residual under a flash."""
 
-    share: Share = 0.5  # of the largest residual, above which a face belongs to a patch
-    min_pixels: NotNegative = 10.0  # that a patch covers at least
+    share: Share = 0.5  # share of the largest residual above which a face belongs to a patch
+    min_pixels: NotNegative = 10.0  # least pixels that a removed patch covers
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class TextureOptions(Options):
     """The textured model: what is baked from the full surface into its pictures."""
 
     edge: Positive = 2.0  # pixels; edge length of the mesh on which occlusion and shading are computed
-    max_faces: Count = 50_000  # of that mesh
+    max_faces: Count = 50_000  # most faces of the mesh with that edge length
     same_side: Share = 0.2  # cosine between the normals of two surfaces below which they are different sides of a sheet
     min_z: Positive = 0.05  # least z of a baked normal; a renderer shows black where it looks away from the surface
     brightest: Share = 0.9  # albedo that no surface exceeds; less light than that is not believed

@@ -26,9 +26,9 @@ class ObservationOptions(Options):
 class OcclusionOptions(Options):
     """Ambient occlusion and one-bounce interreflection."""
 
-    edge: Positive = 4.0  # pixels; edge length of the mesh that they are computed on
-    max_faces: Count = MAX_FACES  # of that mesh
-    rays: Count = 64  # of each vertex
+    edge: Positive = 4.0  # pixels; edge length of the mesh on which both are computed
+    max_faces: Count = MAX_FACES  # most faces of the mesh with that edge length
+    rays: Count = 64  # rays of each vertex
     min_cosine: Share = 0.05  # least cosine between normal and view direction at which a photograph's brightness counts
 
 
@@ -49,7 +49,7 @@ class IrradianceOptions(Options):
     """The irradiance of a surface by a flash, and its images."""
 
     edge: Positive = 1.5  # pixels; edge length of the mesh that carries the light
-    max_faces: Count = MAX_FACES  # of that mesh
+    max_faces: Count = MAX_FACES  # most faces of the mesh with that edge length
     brightest: Share = 0.995  # quantile of the irradiance that counts as the brightest light
     rays: Count = 512  # along an image's longer side at least; small images take several rays for a pixel
     dimmest: Annotated[float, Range(0, 1, open=True)] = 0.02  # least irradiance at which a photograph shows a colour
@@ -116,7 +116,7 @@ class EnvironmentOptions(Options):
     """Static light that the surface mirrors."""
 
     edge: Positive = 2.0  # pixels; edge length of the mesh for the fit of the map
-    max_faces: Count = MAX_FACES  # of that mesh
+    max_faces: Count = MAX_FACES  # most faces of the mesh with that edge length
     min_cosine: Share = 0.5  # least cosine of the tilt; at grazing angles, reflection is stronger than one map can
     # model (Fresnel)
     fit: EnvironmentFitOptions = field(default_factory=EnvironmentFitOptions)
@@ -129,7 +129,7 @@ class LightOptions(Options):
     """The choice of the light model, and both models."""
 
     edge: Positive = 2.0  # pixels; edge length of the mesh on which the light models are compared
-    max_faces: Count = MAX_FACES  # of that mesh
+    max_faces: Count = MAX_FACES  # most faces of the mesh with that edge length
     max_environment_ratio: NotNegative = 0.85  # largest residual ratio of a map on an approximate surface
     flash: FlashOptions = field(default_factory=FlashOptions)
     environment: EnvironmentOptions = field(default_factory=EnvironmentOptions)
@@ -195,7 +195,7 @@ class ResidualOptions(Options):
     """The photometric residual under a flash."""
 
     edge: Positive = 1.5  # pixels; edge length of the mesh at whose vertices the photographs are sampled
-    max_faces: Count = MAX_FACES  # of that mesh
+    max_faces: Count = MAX_FACES  # most faces of the mesh with that edge length
     surface_error: NotNegative = 0.7  # pixels; tolerated position error of the surface
     averaged: NotNegative = 3.0  # pixels over which the residual is averaged
     forgiven: NotNegative = 6.0  # times the median over the surface; residuals below this are noise and gloss
@@ -207,24 +207,24 @@ class GlossOptions(Options):
     """The fit of a surface's gloss for the textured model."""
 
     edge: Positive = 3.0  # pixels; edge length of the mesh whose vertices the fit observes
-    max_faces: Count = MAX_FACES  # of that mesh
+    max_faces: Count = MAX_FACES  # most faces of the mesh with that edge length
     points: Count = 2000  # most points in the fit
     min_observations: Count = 4  # photographs that see a point of the fit
     height: Annotated[int, Range(2)] = 32  # cells of the map's polar angle; the azimuth has twice as many
     smoothness: NotNegative = 0.002  # weight of the squared differences of neighbouring cells, relative to the
     # observations of a cell
-    held_out: Annotated[int, Range(2)] = 4  # every so many photographs judge the fit
+    held_out: Annotated[int, Range(2)] = 4  # every n-th photograph is held out to judge the fit
     likely: Annotated[float, Range(1)] = 1.01  # times the least deviation; the mean of the roughnesses below is taken
     possible: Annotated[float, Range(1)] = 1.04  # times the least deviation; roughnesses below are possible too
     worse: Annotated[float, Range(1)] = 1.1  # times the least deviation; above it no larger roughness is tried
     dielectric: Annotated[float, Range(0, 1, open=True)] = 0.04  # reflectance of dielectrics at normal incidence
     metal: Share = 0.8  # reflectance of a metal in its brightest channel; the light's brightness is not known apart
     # from it
-    matte_deviation: NotNegative = 0.95  # times that of a surface without gloss; gloss must explain the photographs so
-    # much better
+    matte_deviation: NotNegative = 0.95  # largest deviation of an accepted gloss, as a multiple of that of a surface
+    # without gloss
     outlier: Positive = 0.1  # linear light; larger residuals count no more than this
     first_steps: Count = 40  # most steps of the optimiser from a dark map
-    steps: Count = 20  # the same from the map of another roughness
+    steps: Count = 20  # most steps of the optimiser from the map of another roughness
     tolerance: NotNegative = 1e-5  # relative reduction of the cost at which the optimiser ends
 
 

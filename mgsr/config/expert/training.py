@@ -60,14 +60,14 @@ class ExposureOptions(Options):
     """The estimation of the photographs' exposures by proxy models."""
 
     degree: Degree = 2  # of the harmonics of the candidate that is not matte; the matte one has none
-    iterations: Count = 150  # of each training
-    rounds: Count = 3  # that reuse the factors found so far
+    iterations: Count = 150  # iterations of each training
+    rounds: Count = 3  # rounds, each of which begins with the factors found so far
     held_out: Annotated[int, Range(2)] = 4  # one view in this many is held out from a training
-    min_views: Count = 12  # with fewer, exposures are not estimated
+    min_views: Count = 12  # least views for which exposures are estimated
     min_jump: NotNegative = 0.07  # brightness change between neighbours below which exposures count as equal
     min_gain: NotNegative = 0.5  # dB that factors must gain on the halves of photographs to which they were not fitted
-    faint: Share = 0.3  # of the median light; fainter pixels are ignored
-    min_pixels: Count = 20  # to fit a factor to
+    faint: Share = 0.3  # share of the median light below which pixels are ignored
+    min_pixels: Count = 20  # least pixels to which a factor is fitted
     clipped: Annotated[int, Range(1, 256)] = 250  # of 255; brighter pixels hide how bright they were
     white: Positive = 0.9  # rendered light times factor above which the photograph may be clipped
     proxy: ProxyModelOptions = field(default_factory=ProxyModelOptions)

@@ -17,7 +17,7 @@ from mgsr.shading.photometric_refinement import refine_photometrically
 class PhotometricRefinement(MeshStep):
     """Move the surface to where the photographs agree, after the shape from shading of the same turn.
 
-    It needs masks, whose contours hold the surface.
+    It needs masks, because their contours keep the surface in place.
     """
 
     refines = True

@@ -1,8 +1,8 @@
 """Refine the surface by shape from shading.
 
-A flash tells each point's normal by itself. Training knows the large shape better than shading does, which
-interreflection in concavities flattens. An environment map needs the observations of neighbours: it betters the first
-surface on the hull, but no trained one, of which it only tells the photometric refinement what is mirrored.
+A flash gives the normal of each point directly. Interreflection in concavities flattens the normals, so the large shape
+stays that of training. Under an environment map, a normal also needs the observations of neighbours. The map improves
+the first surface, but not a trained one: there, it only predicts the reflections for photometric refinement.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from mgsr.shading.shape_from_shading import shape_from_shading
 class ShapeFromShading(MeshStep):
     """Estimate the light, and under a flash bend the surface to the normals that explain its shading.
 
-    The light is estimated anew in each turn, as it is known better on a better surface. A turn after the first needs a
-    flash.
+    Each turn estimates the light again, because a better surface gives a better estimate. A turn after the first needs
+    a flash.
     """
 
     refines = True

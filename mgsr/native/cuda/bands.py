@@ -37,8 +37,8 @@ class _OutOfMemory:
 def most_pairs(device: torch.device, wanted: int) -> int:
     """Return how many pairs a band may have, of an image that has `wanted` of them.
 
-    It is what half of the device's free memory holds, so that the other half is there for what follows a rendering.
-    Memory that torch's allocator keeps for later counts as free. The driver is asked only for an image with many pairs.
+    They fill half of the device's free memory; the other half is for the steps after a rendering. Memory that torch's
+    allocator caches counts as free. The driver is asked only for an image with many pairs.
     """
     if device.type != "cuda" or wanted * PAIR_BYTES * FEW <= _total_memory(device):
         return MAX_PAIRS
@@ -133,9 +133,9 @@ def _cut(launcher: Launcher, projected: Projected, band: Band, most: int) -> Ite
 
 
 def _halve(launcher: Launcher, projected: Projected, band: Band, reason: str) -> tuple[Band, Band]:
-    """Halve a band that the memory did not hold.
+    """Halve a band that did not fit into the memory.
 
-    All that can be is given back to the driver before, which has needs of its own beside torch's.
+    First, torch's cache is freed, because the driver needs memory of its own.
     """
     if projected.records.is_cuda:
         torch.cuda.empty_cache()

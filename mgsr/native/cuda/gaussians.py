@@ -104,7 +104,7 @@ class GaussianForwardState:
     blended: Blended | None = None
 
     def take_blended(self) -> Blended | None:
-        """Return the blended band that is kept, and keep it no longer: memory may be short."""
+        """Return the kept blended band and release it, to save memory."""
         blended, self.blended = self.blended, None
         return blended
 

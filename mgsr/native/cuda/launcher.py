@@ -58,7 +58,7 @@ def launcher_for(tensor: torch.Tensor) -> Launcher | None:
 
 @contextmanager
 def use_launcher(launcher: Launcher) -> Iterator[None]:
-    """Let this context's operations run as CUDA kernels on `launcher` in the block, wherever their tensors are."""
+    """Run the operations of a `with` block as CUDA kernels on `launcher`, wherever their tensors are."""
     token = _chosen.set(launcher)
     try:
         yield

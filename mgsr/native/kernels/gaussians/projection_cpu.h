@@ -46,8 +46,8 @@ bool finite_colors(const GaussianInputs& in, int64_t i) {
   return !in.refl_colors || (all_finite(in.refl_colors + 3 * i, 3) && all_finite(in.weights + i, 1));
 }
 
-// Splats on the image. In float64: a splat counts for a pixel or not by a threshold, and an error of 1e-5 in the exponent,
-// which is what float leaves of a centre 256 pixels out, flips some thousands of those decisions in a view.
+// Splats on the image, in float64. A threshold decides whether a splat counts for a pixel. The rounding error of float32
+// for a centre 256 pixels out is 1e-5 in the exponent, which flips some thousands of these decisions in a view.
 struct Footprints {
   ProjectedGaussian<Doubles> g;
   Doubles root[3];

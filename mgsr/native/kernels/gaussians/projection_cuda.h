@@ -110,9 +110,9 @@ __device__ inline Sight project_as(const GaussianSplats& in, int64_t i, Gaussian
   return Sight::kSeen;
 }
 
-// Fills a splat's record and outline; false when it can't be seen or isn't finite. A splat counts for a pixel or not by a
-// threshold, and what float leaves of a centre 256 pixels out flips thousands of those decisions, so that the CPU computes
-// in float64. That is slow on most cards: two floats do as well, and the few splats for which they might not are done again.
+// Fills a splat's record and outline; false when it can't be seen or isn't finite. The CPU computes this in float64, because
+// the rounding error of float32 flips thousands of decisions (see projection_cpu.h). Float64 is slow on most cards. Two
+// floats are as precise for most splats; the few others are computed again in float64.
 __device__ inline bool project_gaussian_splat(const GaussianSplats& in, int64_t i, GaussianRecord& record, SplatOutline& outline) {
   Sight sight = project_as<TwoFloats>(in, i, record, outline);
   if (sight == Sight::kUnsure) sight = project_as<double>(in, i, record, outline);

@@ -1,6 +1,5 @@
-// Edge-aware total variation with its gradient. A band of rows is one task; it goes down its rows with the flux (the
-// derivative of each pair) of the row above kept, so that a pixel's gradient is the difference of four fluxes and
-// nothing is scattered. The band's sums are added in order.
+// Edge-aware total variation with its gradient. A band of rows is one task. It keeps the flux (the derivative of each pair)
+// of the row above, so a pixel's gradient is the difference of four fluxes. The sums of the bands are added in order.
 #pragma once
 
 #include <algorithm>

@@ -40,6 +40,11 @@ class Hull:
         centres: np.ndarray = np.argwhere(self.field > -self.voxel / 2) * self.voxel + self.origin
         return centres
 
+    def box(self) -> np.ndarray:
+        """Return the least and the largest corner [2,3] of the voxel centres inside; the hull must not be empty."""
+        places = np.argwhere(self.field > 0) * self.voxel + self.origin
+        return np.stack([places.min(axis=0), places.max(axis=0)])
+
     def values(self, points: np.ndarray) -> np.ndarray:
         """Return the field at points [P,3], trilinearly interpolated; far negative outside the grid."""
         place = ((points - self.origin) / self.voxel).T

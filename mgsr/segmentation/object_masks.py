@@ -183,7 +183,7 @@ class _Search:
 
         They are computed in photographs of `fine_side` pixels and resized to the views.
         """
-        import cv2  # late: training needs no OpenCV
+        import cv2  # imported here, because training needs no OpenCV
 
         own, mattes = self._options.search, self._options.mattes
         fine = [small_view(view, own.fine_side) for view in [*train, *test]]
@@ -210,15 +210,14 @@ class _Search:
     def box(self) -> np.ndarray:
         """Return the least and the largest corner [2,3] of the hull, in the scene's frame."""
         assert self._hull is not None
-        places = np.argwhere(self._hull.field > 0) * self._hull.voxel + self._hull.origin
-        return np.stack([places.min(axis=0), places.max(axis=0)])
+        return self._hull.box()
 
     def _sources(self, larger: Sequence[View] | None = None) -> BackgroundSources:
         """Return the sources of the background: whatever lies outside the masks and the hull's silhouettes.
 
         larger: the same photographs at a larger size, to sample in place of the small ones.
         """
-        import cv2  # late: training needs no OpenCV
+        import cv2  # imported here, because training needs no OpenCV
 
         own, background, blocked = self._options.search, self._options.background, self._blocked()
         lifted, _ = lifted_labels(self._model, [mask[..., None] for mask in blocked], self._cameras)
@@ -236,7 +235,7 @@ class _Search:
 
     def _blocked(self) -> list[np.ndarray]:
         """Return the pixels [H,W] bool of each photograph that do not count as background: mask and silhouette."""
-        import cv2  # late: training needs no OpenCV
+        import cv2  # imported here, because training needs no OpenCV
 
         around = np.ones((2 * self._options.search.blocked + 1,) * 2, np.uint8)
         wide: list[np.ndarray] = self.masks
@@ -303,13 +302,15 @@ def _first_labels(
 ) -> _FirstLabels | NoObject:
     """Label the largest connected piece of surfels that stands on the support plane; those near the middle weigh more.
 
-    box [2,3]: the box in the scene's frame that holds the object; None: the object stands near the scene's centre.
+    box [2,3]: the box in the scene's frame that holds the object; None: the object stands near the scene's centre. It
+    may extend farther if most of it is near: the centre is where the cameras look, which need not be the object's.
     plane: the support plane; None: it is searched for.
     """
     own, pixel = options.search, pixel_size(cameras, np.zeros(3))
     centers = np.asarray(model.means.detach().numpy(), np.float64)
     solid = model.opacities().detach().numpy() > own.solid
-    around = np.linalg.norm(centers, axis=1) < own.near
+    distances = np.linalg.norm(centers, axis=1)
+    around = distances < own.near
     if plane is None:
         plane = find_support_plane(centers[solid & around], cameras, own.flat * pixel, generator, options.plane)
     inside = around
@@ -319,10 +320,13 @@ def _first_labels(
     elif plane is None:
         return NoObject("no level surface lies under what the cameras look at")
     heights = np.full(len(centers), np.inf) if plane is None else plane.heights(centers)
-    found = np.flatnonzero(solid & inside & (heights > own.standing * pixel))
+    upright = solid & (heights > own.standing * pixel)
+    found = np.flatnonzero(upright & inside)
     if len(found) < own.min_surfels:
         return NoObject("nothing stands in the middle of what the cameras look at")
     reach = own.linked * float(np.median(cKDTree(centers[found]).query(centers[found], k=4)[0][:, 3]))
+    if box is None:
+        found = np.flatnonzero(upright & (distances < own.farthest))
     piece = pieces(centers[found], reach)
     middle = np.zeros(3) if box is None else box.mean(axis=0)
     # The cameras look at the object, so surfels near the middle weigh more.
@@ -332,6 +336,8 @@ def _first_labels(
         return NoObject("several objects of about one size stand in the middle")
     standing = np.zeros(len(centers), bool)
     standing[found[piece == largest]] = True
+    if inside[standing].mean() < own.mostly_near:
+        standing &= inside  # it is connected to what lies around it
     if standing.sum() < own.min_surfels:
         return NoObject("nothing stands in the middle of what the cameras look at")
     around_it = _box_with_feet(centers[standing], plane) if box is None else box

@@ -5,12 +5,14 @@ tests/pipeline/test_object.py has a quick check of the masks in a whole run.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from mgsr.config.expert import ObjectSearchOptions, SegmentationConfig
+from mgsr.data.scene import Scene, View
 from mgsr.segmentation.object_masks import FoundObject, NoObject, find_object
 from mgsr.start.starting_points import starting_points
 from tests.segmentation.table_scene import TABLE, table_scene
@@ -69,6 +71,26 @@ def test_a_capture_without_a_single_object_is_left_whole(iterations: int, option
     result = find_object(scene, starting_points(scene, 8000, 0), 0, options=search)
     assert isinstance(result, NoObject)
     assert any(part in result.reason for part in reason.split("|")), result.reason
+
+
+@pytest.mark.slow
+def test_an_object_beside_the_scenes_centre_is_found_whole() -> None:
+    scene, truth = table_scene()
+    result = find_object(_raised(scene, 1.1), starting_points(_raised(scene, 1.1), 8000, 0), 0)
+    assert isinstance(result, FoundObject), result
+    assert result.box[1][2] == pytest.approx(1.1 + 0.65, abs=0.06)  # beyond ObjectSearchOptions.near
+    assert np.mean(overlaps(result.train + result.test, truth)) > 0.9
+
+
+def _raised(scene: Scene, height: float) -> Scene:
+    """Return the scene with everything in it raised above its centre."""
+
+    def moved(view: View) -> View:
+        pose = view.camera.cam_from_world.copy()
+        pose[:3, 3] -= pose[:3, 2] * height
+        return replace(view, camera=replace(view.camera, cam_from_world=pose))
+
+    return replace(scene, train=[*map(moved, scene.train)], test=[*map(moved, scene.test)])
 
 
 @pytest.mark.slow

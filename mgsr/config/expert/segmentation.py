@@ -45,6 +45,7 @@ class TolerantHullOptions(Options):
 
     resolution: Annotated[int, Range(2)] = 128  # voxels along a side
     half: Positive = 0.6  # half the side of the carved cube, as a share of the box's longest side
+    growths: WholeNumber = 6  # most times that a cube which cuts the hull off is carved anew around the hull
     sunk: NotNegative = 1.0  # pixels; depth below the support plane at which the hull ends
 
 
@@ -81,11 +82,12 @@ class MatteOptions(Options):
     max_cost: Positive = 9.0  # upper limit of a cost
     certain_cost: NotNegative = 4.0  # background cost above which a pixel certainly does not show the background
     deep: NotNegative = 3.0  # pixels inside the hull's silhouette beyond which the label background costs more
-    deep_cost: NotNegative = 6.0  # the cost there, where the background is known
+    deep_cost: NotNegative = 6.0  # additional cost of the label background there, where the background is known
     outside: NotNegative = 3.0  # pixels outside the hull's silhouette beyond which the label object costs more
-    outside_cost: NotNegative = 3.0  # the cost there
+    outside_cost: NotNegative = 3.0  # additional cost of the label object there
     searched: NotNegative = 6.0  # pixels around the hull's silhouette in which the object may lie
-    first_searched: NotNegative = 0.12  # the same around the first mask, as a share of the square root of its area
+    first_searched: NotNegative = 0.12  # distance from the first mask within which the object may lie, as a share
+    # of the square root of the mask's area
     max_hole: Share = 0.005  # area of a hole, as a share of the mask's, below which it is filled: highlights look like
     # background
     margin: WholeNumber = 4  # pixels by which the processed window exceeds the region
@@ -100,12 +102,16 @@ class ObjectSearchOptions(Options):
 
     side: Count = 480  # pixels; longer side of the small photographs, for training and for the search
     fine_side: Count = 960  # pixels; longer side of the photographs for the final masks
-    iterations: Count = 800  # of the training
-    rounds: Count = 3  # of refining masks, hull and surfels
+    iterations: Count = 800  # iterations of the training
+    rounds: Count = 3  # rounds of refining masks, hull and surfels
     first_dissent: Share = 0.1  # share of the masks that may exclude a place of the hull, in the first round
-    last_dissent: Share = 0.06  # the same in the last round
+    last_dissent: Share = 0.06  # share of the masks that may exclude a place of the hull, in the last round
     solid: Share = 0.2  # least opacity of the object's first surfels
-    near: Positive = 1.5  # ball radii; distance from the scene's centre within which the object stands
+    near: Positive = 1.5  # ball radii; distance from the scene's centre within which most of the object stands
+    farthest: Positive = 3.0  # ball radii; distance from the scene's centre that no part of the object exceeds
+    mostly_near: Share = (
+        0.5  # least share of the object's first surfels that are near; otherwise the others are cut off
+    )
     middle: Positive = 0.7  # ball radii; distance from the middle at which a surfel's vote for its piece falls to 1/e
     flat: Positive = 3.0  # pixels; tolerance of the support plane's inliers, and margin of a given box
     standing: NotNegative = 6.0  # pixels; least height of the object's first surfels above the plane
@@ -117,7 +123,7 @@ class ObjectSearchOptions(Options):
     blocked: WholeNumber = 2  # pixels around a mask that do not count as background
     certain: Share = 0.5  # least share of an object surfel's pixels with known background that certainly hide it
     known: Share = 0.03  # least share of an object surfel's pixels whose background is known
-    min_surfels: Annotated[int, Range(4)] = 50  # that an object has at least
+    min_surfels: Annotated[int, Range(4)] = 50  # least surfels of an object
     rival: NotNegative = 0.4  # relative size of a second piece above which the object is ambiguous
     outer_margin: NotNegative = 3.0  # pixels outside the hull's silhouette beyond which final masks are 0
     filled: NotNegative = 2.0  # pixels inside the hull's silhouette beyond which final masks are 1

@@ -9,9 +9,9 @@ from mgsr.budget.budget import reference_training
 from mgsr.config import Config, starting_settings
 from mgsr.data.cost_factors import CostFactors
 
-# Fitted to the runs of benchmarks/results/runs.csv on the CPU: MiB of the program with its libraries, of a million
-# pixels of photographs, of the surface's octree for each doubling beyond the preset draft's, and of 1,000 splats beyond
-# the preset standard's.
+# MiB, fitted to the CPU runs of benchmarks/results/runs.csv: of the program with its libraries, of a million pixels of
+# photographs, of each doubling of the surface's octree beyond the preset draft, and of 1,000 splats beyond the preset
+# standard.
 _PROGRAM, _PHOTOGRAPHS, _SURFACE, _SPLATS = 880.0, 33.0, 550.0, 15.0
 _DRAFT_DEPTH, _USUAL_SPLATS = 7, 30_000
 

@@ -11,10 +11,14 @@ USUAL_PIXELS = 256 * 256
 class CostFactors:
     """The factors of a scene's cost.
 
-    views, tests: its training and test views; pixels: of one view, in the mean; truth: whether the true surface lies
-    beside it; shiny: whether shading may refine its mesh; masked: whether there are masks; learned: whether masks are
-    learned where there are none; flash: whether the light is a flash's; searched: whether an object is looked for where
-    there are no masks.
+    views, tests: number of training and test views.
+    pixels: mean pixels of a view.
+    truth: whether the capture has its true surface.
+    shiny: whether shading may refine the mesh.
+    masked: whether there are masks.
+    learned: whether masks are learned, as there are none.
+    flash: whether the light is a flash.
+    searched: whether an object is searched for, as there are no masks.
     """
 
     views: int

@@ -32,10 +32,12 @@ from mgsr.renderers.surfels import render_surfels
 class RenderedView:
     """One camera's images, float32, rendered over black, so colours are premultiplied by alpha.
 
-    color [H,W,3]; alpha [H,W]; depth [H,W] camera z in the scene's unit, 0 where nothing is; normal [H,W,3] world
-    frame, towards the camera, as long as alpha; transmitted [H,W,3], reflected [H,W,3] and weight [H,W], None without
-    a light split; unlit [H,W,3]: the transmitted colour, or the only one, under even light, None where no flash is
-    valid. whole [H,W,3]: the colour before the background, None where no object was found.
+    color [H,W,3], alpha [H,W]: the object.
+    depth [H,W]: camera z in the scene's unit; 0 where nothing is.
+    normal [H,W,3]: in the world frame, towards the camera, of length alpha.
+    transmitted [H,W,3], reflected [H,W,3], weight [H,W]: None without a light split.
+    unlit [H,W,3]: the transmitted colour under even light, or the colour without a light split; None without a flash.
+    whole [H,W,3]: the object before its background; None if no object was found.
     """
 
     name: str

@@ -16,10 +16,14 @@ from mgsr.data.camera import Camera
 class SurfelOutputs:
     """The 2D branch's images of one camera.
 
-    color [H,W,3] with the background; alpha [H,W]; depth [H,W] the blend's mean and median_depth [H,W], camera z, 0
-    where nothing is; normal [H,W,3] world frame, towards the camera, of length alpha; distortion [H,W] where asked
-    for; stats: screen-space figures of each surfel (see mgsr/ops); unlit [H,W,3]: the colour as it is under even light,
-    None where no flash lit it.
+    color [H,W,3]: with the background.
+    alpha [H,W]: opacity.
+    depth [H,W]: the blended mean camera z; 0 where nothing is.
+    median_depth [H,W]: the blended median camera z; 0 where nothing is.
+    normal [H,W,3]: in the world frame, towards the camera, of length alpha.
+    distortion [H,W]: None if not requested.
+    stats: screen-space statistics of each surfel (see `mgsr/ops`).
+    unlit [H,W,3]: the colour under even light; None without a flash.
     """
 
     color: Tensor
@@ -36,11 +40,15 @@ class SurfelOutputs:
 class GaussianOutputs:
     """The 3D branch seen by one camera.
 
-    color [H,W,3] = transmitted + weight * reflected; transmitted [H,W,3] with the background; reflected [H,W,3] and
-    weight [H,W], None without a light split; own_reflected [H,W,3]: the share of reflected that the splats hold, None
-    without one; environment [H,W,3]: the share that the environment map gives, None without one; unlit [H,W,3]:
-    transmitted as it is under even light, None where no flash lit it; depth [H,W] camera z, 0 where nothing is, None if
-    not asked for; alpha [H,W] of the transmitted half; stats: screen-space figures of each Gaussian (see mgsr/ops).
+    color [H,W,3]: transmitted + weight * reflected.
+    transmitted [H,W,3]: with the background.
+    reflected [H,W,3], weight [H,W]: None without a light split.
+    own_reflected [H,W,3]: the part of `reflected` from the splats; None without one.
+    environment [H,W,3]: the part of `reflected` from the environment map; None without one.
+    unlit [H,W,3]: `transmitted` under even light; None without a flash.
+    depth [H,W]: camera z; 0 where nothing is; None if not requested.
+    alpha [H,W]: opacity of the transmitted half.
+    stats: screen-space statistics of each Gaussian (see `mgsr/ops`).
     """
 
     color: Tensor

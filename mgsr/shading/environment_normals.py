@@ -1,9 +1,9 @@
 """Normals from gloss: each normal is tilted until the environment map explains how its point's brightness changes.
 
-The tilts are searched on a coarse grid, as lamps make the environment too uneven for gradient descent, and on a fine
-grid around the best coarse tilt: a parabola between coarse steps errs by a few tenths of a degree, in the same
-direction for all points of a flat face, which then sags. The residual and its curvature on the coarse grid give the
-confidence. The curvature at the fine grid's minimum is mostly noise.
+The tilts are searched on a coarse grid, because lamps make the environment too uneven for gradient descent. A fine grid
+around the best coarse tilt follows. A parabola between coarse steps would err by a few tenths of a degree, in the same
+direction for all points of a flat face, which would then sag. The residual and its curvature on the coarse grid give
+the confidence. The curvature at the fine grid's minimum is mostly noise.
 """
 
 from __future__ import annotations

@@ -28,14 +28,14 @@ from tests.mesh.shapes import ball
 CONTRIBUTING = ROOT / "docs/contributing.md"
 PYTHON = ROOT / "docs/python.md"
 # What stands for a setting: the example of contributing.md, and README's form.
-EXAMPLES = {"decided_weight=0.1", "key=value"}
+EXAMPLES = {"decided_weight=0.1", "KEY=VALUE"}
 
 
 def _settings() -> list[str]:
     """Return every KEY=VALUE that a page gives to --set, or shows as a setting."""
     text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
     given = re.findall(r"--set ([\w.]+=[\w.]+)", text)
-    shown = re.findall(r"`((?:masks|extractor|stop_rule|depth_unit|close_holes|max_side|mesh\.\w+)=[\w.]+)`", text)
+    shown = re.findall(r"`([a-z_][\w.]*=[\w.\-]+)`", text)
     return sorted({*given, *shown} - EXAMPLES)
 
 

@@ -15,6 +15,7 @@ from mgsr.cli.options import (
     AsSceneOption,
     DeviceOption,
     FacesOption,
+    LodsOption,
     MethodOption,
     ObjOption,
     OutOption,
@@ -136,6 +137,7 @@ def mesh(
     device: DeviceOption = "auto",
     faces: FacesOption = None,
     texture: TextureOption = None,
+    lods: LodsOption = None,
     obj: ObjOption = False,
     usdz: UsdzOption = False,
     up: UpOption = None,
@@ -144,7 +146,7 @@ def mesh(
 ) -> None:
     """Extract mesh.ply and model.glb from the splats in OUT, with the preset's settings for the mesh."""
     with refusals():
-        overrides = [*(settings or []), *output_overrides(faces, texture, obj, usdz, up, scale)]
+        overrides = [*(settings or []), *output_overrides(faces, texture, lods, obj, usdz, up, scale)]
         config = make_config(preset, overrides=overrides)
         from mgsr.pipeline.single_steps import mesh_again
 

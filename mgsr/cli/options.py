@@ -48,6 +48,9 @@ TextureOption = Annotated[
     int | None,
     typer.Option(metavar="TEXELS", help="Make the maps of model.glb this many texels wide, such as 2048."),
 ]
+LodsOption = Annotated[
+    int | None, typer.Option(metavar="N", help="Also write N coarser levels of detail: model_lod1.glb and so on.")
+]
 ObjOption = Annotated[bool, typer.Option("--obj", help="Also write mesh.obj.")]
 UsdzOption = Annotated[bool, typer.Option("--usdz", help="Also write model.usdz (pip install 'mgsr\\[usd]').")]
 UpOption = Annotated[
@@ -68,10 +71,16 @@ AsSceneOption = Annotated[
 
 
 def output_overrides(
-    faces: int | None, texture: int | None, obj: bool, usdz: bool, up: Up | None, scale: float | None
+    faces: int | None,
+    texture: int | None,
+    lods: int | None,
+    obj: bool,
+    usdz: bool,
+    up: Up | None,
+    scale: float | None,
 ) -> list[str]:
     """Return what these options mean as settings; none for what was not given."""
-    given: dict[str, object] = {"faces": faces, "texture": texture, "obj": "on" if obj else None}
+    given: dict[str, object] = {"faces": faces, "texture": texture, "lods": lods, "obj": "on" if obj else None}
     given |= {"usdz": "on" if usdz else None, "up": up, "scale": scale}
     return [f"output.{name}={value}" for name, value in given.items() if value is not None]
 

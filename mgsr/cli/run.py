@@ -8,6 +8,7 @@ from pathlib import Path
 from mgsr.cli.options import (
     DeviceOption,
     FacesOption,
+    LodsOption,
     MethodOption,
     ObjOption,
     OutOption,
@@ -38,6 +39,7 @@ def run(
     resume: ResumeOption = False,
     faces: FacesOption = None,
     texture: TextureOption = None,
+    lods: LodsOption = None,
     obj: ObjOption = False,
     usdz: UsdzOption = False,
     up: UpOption = None,
@@ -48,7 +50,7 @@ def run(
     """Reconstruct SCENE into OUT: mesh, splats, renders of the test views and a report."""
     started_at = time.perf_counter()
     with refusals(resumes=True):
-        wishes = [*(settings or []), *output_overrides(faces, texture, obj, usdz, up, scale)]
+        wishes = [*(settings or []), *output_overrides(faces, texture, lods, obj, usdz, up, scale)]
         wishes += [] if time_budget is None else [f"time_budget={time_budget}"]
         report = _run(scene, out, make_config(preset, method, seed, wishes), device, resume, started_at)
     print(f"mesh   {out / 'mesh.ply'}")

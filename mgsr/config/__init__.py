@@ -18,7 +18,7 @@ from mgsr.config.paper import (
     Teaching,
 )
 from mgsr.config.run import METHODS, PRESETS, Config
-from mgsr.config.surface import Extractor, MeshColor, MeshConfig, OutputConfig, Up
+from mgsr.config.surface import MIN_TEXTURE, Extractor, MeshColor, MeshConfig, OutputConfig, Up
 from mgsr.config.train import (
     Background,
     Branches,
@@ -43,6 +43,7 @@ __all__ = [
     "ABLATIONS",
     "EXPERT",
     "METHODS",
+    "MIN_TEXTURE",
     "PRESETS",
     "RENAMED",
     "AlphaLoss",

@@ -91,6 +91,10 @@ class Up(StrEnum):
     MINUS_Z = "-z"
 
 
+MIN_TEXTURE = 16  # texels along a side of a map
+MAX_LODS = 8
+
+
 @dataclass(frozen=True)
 class OutputConfig:
     """Which files are written, and in which unit and orientation."""
@@ -103,3 +107,6 @@ class OutputConfig:
     faces: int | None = 100_000
     # The side of the textured model's maps, in texels. none: a texel is as large as a pixel of the photographs.
     texture: int | None = None
+    # Coarser levels of detail of the textured model: model_lod1.glb has a quarter of its faces and half of its texels
+    # along a side, model_lod2.glb a quarter of those of model_lod1.glb, and so on.
+    lods: int = 0

@@ -7,7 +7,7 @@ import math
 from mgsr.config.capture import object_box
 from mgsr.config.overrides import field_types, value_at
 from mgsr.config.run import Config
-from mgsr.config.surface import OutputConfig
+from mgsr.config.surface import MAX_LODS, MIN_TEXTURE, OutputConfig
 from mgsr.config.train import Branches, Reflection
 from mgsr.errors import ConfigError
 
@@ -60,7 +60,9 @@ def validate(config: Config) -> None:
 def _validate_output(output: OutputConfig) -> None:
     if not (math.isfinite(output.scale) and output.scale > 0):
         raise ConfigError(f"output.scale: expected a number above 0, got {output.scale:g}")
-    if output.texture is not None and not 16 <= output.texture <= 16384:
-        raise ConfigError(f"output.texture: expected 16 to 16384 texels, got {output.texture}")
+    if output.texture is not None and not MIN_TEXTURE <= output.texture <= 16384:
+        raise ConfigError(f"output.texture: expected {MIN_TEXTURE} to 16384 texels, got {output.texture}")
+    if not 0 <= output.lods <= MAX_LODS:
+        raise ConfigError(f"output.lods: expected 0 to {MAX_LODS} coarser levels of detail, got {output.lods}")
     if output.faces is not None and output.faces < 100:
         raise ConfigError(f"output.faces: expected at least 100, got {output.faces}")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mgsr.config import MeshConfig, OutputConfig
+from mgsr.config import MIN_TEXTURE, MeshConfig, OutputConfig
 from mgsr.config.expert import MeshOptions, TextureOptions
 from mgsr.data.images import linear_to_srgb, srgb_to_linear, to_uint8
 from mgsr.geometry.decimate import coarser, decimate
@@ -15,14 +15,14 @@ from mgsr.geometry.displace import diffuse
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.baking import bake_colors, bake_normals, find_texels
 from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
-from mgsr.mesh.unwrap import unwrap
+from mgsr.mesh.unwrap import UnwrappedMesh, unwrap
 from mgsr.mesh.views import SurfaceView
 from mgsr.shading.ambient_occlusion import trace_hemispheres
 from mgsr.shading.material import MATTE, Material
 from mgsr.shading.static_light import fit_static_light
 
 
-def texture_mesh(
+def texture_levels(
     full: ReconstructedMesh,
     views: Sequence[SurfaceView],
     pixel: float,
@@ -32,31 +32,85 @@ def texture_mesh(
     material: Material = MATTE,
     threads: int | None = None,
     options: MeshOptions = MeshOptions(),
-) -> TexturedMesh:
-    """Reduce the full surface to `output.faces`, unwrap it, and bake its maps.
+) -> list[TexturedMesh]:
+    """Reduce the full surface, unwrap it, and bake its maps, at each level of detail, the finest first.
 
-    full, views: in one frame. pixel: the size of the photographs' pixels on the surface, in its unit, which a texel
-    gets unless `output.texture` gives the number of texels. A metal's base colour is its tint; others blend the views'
-    colours, as in `blended_colors`. shaded: whether these colours contain the shading of static light, which is then
-    divided out, and the light's brightness with it where the material tells it. options: all of the mesh's.
+    The finest level has `output.faces` faces. Each of up to `output.lods` coarser levels has a share of the faces and
+    of the texels of the level before (`TextureOptions`).
+
+    full, views: in one frame. pixel: the size of the photographs' pixels on the surface, in its unit. A texel of the
+    finest level has that size unless `output.texture` gives the number of texels. A metal's base colour is its tint;
+    others blend the views' colours, as in `blended_colors`. shaded: whether these colours contain the shading of static
+    light. It is divided out, and the light's brightness with it where the material tells it. options: all of the
+    mesh's.
     """
-    own, static = options.texture, options.texture.static_light
-    unwrapped = unwrap(_reduced(full, output.faces, own.same_side), pixel, output.texture, own.unwrap)
-    texels = find_texels(unwrapped, full, own.same_side)
-    colors = bake_colors(texels, full, views, config, threads, options.colors)
-    coarse = coarser(Mesh(full.vertices, full.faces), own.edge * pixel, own.max_faces)
+    own = options.texture
+    lit = _lit_surface(full, pixel, shaded, material, own)
+    levels, faces = [], len(full.faces) if output.faces is None else min(output.faces, len(full.faces))
+    for level in range(output.lods + 1):
+        if level and faces < own.min_level_faces:
+            break
+        reduced = _reduced(full, faces, own.same_side)
+        width = None if output.texture is None else max(MIN_TEXTURE, round(output.texture * own.level_texels**level))
+        unwrapped = unwrap(reduced, pixel / own.level_texels**level, width, own.unwrap)
+        levels.append(_baked(unwrapped, lit, views, config, threads, options))
+        faces = round(faces * own.level_faces)
+    return levels
+
+
+@dataclass(frozen=True)
+class _LitSurface:
+    """A surface with the shading of its colours.
+
+    coarse: the mesh on which occlusion and shading are known. visibility [V]: the share of the sky that its vertices
+    see. irradiance [V,3]: of static light at its vertices; None if the colours contain no shading. scale [3]: the
+    factors that make albedo of linear colours.
+    """
+
+    full: ReconstructedMesh
+    coarse: Mesh
+    visibility: np.ndarray
+    irradiance: np.ndarray | None
+    scale: np.ndarray
+    material: Material
+
+
+def _lit_surface(
+    full: ReconstructedMesh, pixel: float, shaded: bool, material: Material, options: TextureOptions
+) -> _LitSurface:
+    """Separate the colours of a surface from their shading; the arguments are those of `texture_levels`."""
+    static = options.static_light
+    coarse = coarser(Mesh(full.vertices, full.faces), options.edge * pixel, options.max_faces)
     seen = trace_hemispheres(coarse, pixel)
-    at = coarse.prolongation(texels.points)
-    if material.tint is not None:
-        colors = np.broadcast_to(linear_to_srgb(material.tint), colors.shape)
-    elif shaded:
-        scale = _albedo_scale(srgb_to_linear(full.colors), material, own)
+    scale, irradiance = np.ones(3), None
+    if material.tint is None and shaded:
+        scale = _albedo_scale(srgb_to_linear(full.colors), material, options)
         around = scale * srgb_to_linear(full.prolongation(coarse.vertices) @ full.colors)
         light = fit_static_light(coarse, around, seen, options=static)
-        colors = linear_to_srgb(np.clip(scale * srgb_to_linear(colors) / (at @ light.irradiance), 0, 1))
+        irradiance = light.irradiance
         if material.light is None:
             material = replace(material, light=light.environment(static.height, static.freedom))
-    visible = diffuse(seen.visibility[:, None], coarse.laplacian, static.reach)
+    visibility = diffuse(seen.visibility[:, None], coarse.laplacian, static.reach)[:, 0]
+    return _LitSurface(full, coarse, visibility, irradiance, scale, material)
+
+
+def _baked(
+    unwrapped: UnwrappedMesh,
+    lit: _LitSurface,
+    views: Sequence[SurfaceView],
+    config: MeshConfig,
+    threads: int | None,
+    options: MeshOptions,
+) -> TexturedMesh:
+    """Bake the maps of an unwrapped level of detail from the full surface."""
+    own = options.texture
+    texels = find_texels(unwrapped, lit.full, own.same_side)
+    at = lit.coarse.prolongation(texels.points)
+    colors = bake_colors(texels, lit.full, views, config, threads, options.colors)
+    if lit.material.tint is not None:
+        colors = np.broadcast_to(linear_to_srgb(lit.material.tint), colors.shape)
+    elif lit.irradiance is not None:
+        colors = linear_to_srgb(np.clip(lit.scale * srgb_to_linear(colors) / (at @ lit.irradiance), 0, 1))
     textured: TexturedMesh = TexturedMesh(
         unwrapped.vertices,
         unwrapped.faces,
@@ -65,8 +119,8 @@ def texture_mesh(
         unwrapped.size,
         base_color=texels.picture(_bytes(colors)),
         normal_map=texels.picture(_bytes(bake_normals(texels, unwrapped, own.min_z) / 2 + 0.5)),
-        occlusion=texels.picture(_bytes(at @ visible[:, 0])),
-        material=material,
+        occlusion=texels.picture(_bytes(at @ lit.visibility)),
+        material=lit.material,
     ).with_normals(unwrapped.normals)
     return textured
 
@@ -85,12 +139,12 @@ def _albedo_scale(colors: np.ndarray, material: Material, options: TextureOption
     return np.asarray(scale * min(1.0, options.brightest / max(top, 1e-6)))
 
 
-def _reduced(full: ReconstructedMesh, faces: int | None, same_side: float) -> Mesh:
-    """Return the surface with at most `faces` faces, None for all, and with the full surface's normals.
+def _reduced(full: ReconstructedMesh, faces: int, same_side: float) -> Mesh:
+    """Return the surface with at most `faces` faces, and with the full surface's normals.
 
     same_side: as for `find_texels`.
     """
-    if faces is None or len(full.faces) <= faces:
+    if len(full.faces) <= faces:
         return Mesh(full.vertices, full.faces).with_normals(full.normals)
     reduced = decimate(Mesh(full.vertices, full.faces), faces)
     normals = full.prolongation(reduced.vertices) @ full.normals

@@ -14,7 +14,7 @@ from mgsr.geometry.decimate import coarser
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
-from mgsr.mesh.texture import texture_mesh
+from mgsr.mesh.texture import texture_levels
 from mgsr.pipeline.rendering import masked_scene, scene_silhouettes, surface_views
 from mgsr.pipeline.steps import always
 from mgsr.shading.gloss import fit_gloss, mirrorings
@@ -51,11 +51,11 @@ def make_mesh(
     return mesh.in_frame(scene.user_from_scene.to_user(mesh.vertices))
 
 
-def make_textured(model: TrainedModel, scene: Scene, config: Config, mesh: ReconstructedMesh) -> TexturedMesh:
-    """Make the textured model of the surface; both are in the user's frame.
+def make_textured(model: TrainedModel, scene: Scene, config: Config, mesh: ReconstructedMesh) -> list[TexturedMesh]:
+    """Make the textured model of the surface at each level of detail, the finest first, in the user's frame.
 
-    Its colours come from renders of the training views, as large as the photographs, and a texel is as large as a pixel
-    of the photographs.
+    Its colours come from renders of the training views, as large as the photographs. A texel of the finest level is as
+    large as a pixel of the photographs.
     """
     frame = scene.user_from_scene
     full = mesh.in_frame(frame.to_scene(mesh.vertices))
@@ -67,8 +67,8 @@ def make_textured(model: TrainedModel, scene: Scene, config: Config, mesh: Recon
     glossy = static and (model.environment_map is not None or mesh.light is LightKind.ENVIRONMENT)
     material = _fit_material(full, scene, pixel, config.expert.mesh.texture.gloss) if glossy else MATTE
     options = config.expert.mesh
-    textured = texture_mesh(full, views, pixel, config.output, config.mesh, shaded, material, options=options)
-    return textured.in_frame(frame.to_user(textured.vertices))
+    levels = texture_levels(full, views, pixel, config.output, config.mesh, shaded, material, options=options)
+    return [textured.in_frame(frame.to_user(textured.vertices)) for textured in levels]
 
 
 def _fit_material(full: Mesh, scene: Scene, pixel: float, options: GlossOptions) -> Material:

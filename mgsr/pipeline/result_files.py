@@ -44,6 +44,7 @@ from mgsr.pipeline.result_paths import (
     EXPOSURES,
     FLASH,
     GAUSSIANS,
+    LEVEL_GLB,
     MESH,
     MESH_OBJ,
     MODEL_GLB,
@@ -218,26 +219,34 @@ def write_mesh(out: Path, mesh: ReconstructedMesh, output: OutputConfig) -> None
         write_obj(path, scaled, mesh.colors)
 
 
-def write_textured(out: Path, textured: TexturedMesh, scene: Scene, output: OutputConfig) -> None:
-    """Write model.glb, y up, with model.usdz if it is asked for, and environment.exr if the material has a light.
+def write_textured(out: Path, levels: Sequence[TexturedMesh], scene: Scene, output: OutputConfig) -> None:
+    """Write the textured model, and environment.exr if its material has a light.
 
-    The mesh is in the user's frame; lengths are in the output's unit. An earlier run's files are removed.
+    levels: of detail, the finest first, in the user's frame. The first becomes model.glb, and model.usdz if it is asked
+    for; the others become model_lod1.glb and so on. All are y up, and lengths are in the output's unit. An earlier
+    run's files are removed.
     """
-    scaled = textured.in_frame(textured.vertices * output.scale)
-    base_color, normal, occlusion = map(png_bytes, (textured.base_color, textured.normal_map, textured.occlusion))
-    constants, up = textured.material, _up(scene, output)
-    given = (base_color, normal, occlusion, constants.roughness, constants.metallic)
-    material = PbrMaterial(*given, glossy=not constants.matte)
-    with atomic_write(out / MODEL_GLB) as path:
-        write_textured_glb(path, scaled, scaled.uvs, scaled.tangents, material, up)
-    for name in (MODEL_USDZ, ENVIRONMENT):
-        (out / name).unlink(missing_ok=True)
-    if output.usdz:
-        with atomic_write(out / MODEL_USDZ) as path:
-            write_usdz(path, scaled, scaled.uvs, material, up)
-    if constants.light is not None:
+    up = _up(scene, output)
+    for old in (out / MODEL_USDZ, out / ENVIRONMENT, *out.glob(LEVEL_GLB.format("*"))):
+        old.unlink(missing_ok=True)
+    for level, textured in enumerate(levels):
+        scaled, material = textured.in_frame(textured.vertices * output.scale), _pbr_material(textured)
+        with atomic_write(out / (LEVEL_GLB.format(level) if level else MODEL_GLB)) as path:
+            write_textured_glb(path, scaled, scaled.uvs, scaled.tangents, material, up)
+        if level == 0 and output.usdz:
+            with atomic_write(out / MODEL_USDZ) as path:
+                write_usdz(path, scaled, scaled.uvs, material, up)
+    if (light := levels[0].material.light) is not None:
         with atomic_write(out / ENVIRONMENT) as path:
-            write_radiance_map(path, constants.light, up)
+            write_radiance_map(path, light, up)
+
+
+def _pbr_material(textured: TexturedMesh) -> PbrMaterial:
+    """Return a model's maps as PNG files, with its constants."""
+    base_color, normal, occlusion = map(png_bytes, (textured.base_color, textured.normal_map, textured.occlusion))
+    constants = textured.material
+    given = (base_color, normal, occlusion, constants.roughness, constants.metallic)
+    return PbrMaterial(*given, glossy=not constants.matte)
 
 
 def _up(scene: Scene, output: OutputConfig) -> UpDirection:

@@ -10,6 +10,7 @@ from mgsr.data.object_place import OBJECT_FILE
 MESH = "mesh.ply"
 MESH_OBJ = "mesh.obj"
 MODEL_GLB = "model.glb"
+LEVEL_GLB = "model_lod{}.glb"
 MODEL_USDZ = "model.usdz"
 ENVIRONMENT = "environment.exr"
 SURFELS = "splats_2d.ply"
@@ -52,6 +53,10 @@ class ResultPaths:
     def model_glb(self) -> Path:
         """Return the path of model.glb: the textured model, y up."""
         return self.folder / MODEL_GLB
+
+    def model_level(self, level: int) -> Path:
+        """Return the path of a level of detail of the textured model: 0 is model.glb, 1 model_lod1.glb and so on."""
+        return self.folder / (LEVEL_GLB.format(level) if level else MODEL_GLB)
 
     @property
     def model_usdz(self) -> Path:

@@ -168,8 +168,8 @@ def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
     """Texture the model, render and measure the test views, and write the report; return its path."""
     scene, clock = run.scene, run.step.clock
     with run.step("model", "texturing the model"):
-        textured = make_textured(run.model(trained), scene, run.config, surface.mesh)
-        result_files.write_textured(run.out, textured, scene, run.config.output)
+        levels = make_textured(run.model(trained), scene, run.config, surface.mesh)
+        result_files.write_textured(run.out, levels, scene, run.config.output)
     with run.step("render", f"rendering and scoring {len(scene.test)} test views"):
         rendered = list(render_views(run.model(trained), scene.test, run.config))
         result_files.write_renders(run.out, rendered, scene, run.config.output)
@@ -178,13 +178,13 @@ def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
     with run.step("report", "writing the report"):
         psnr = [view["psnr"] for view in scores.views.values()]
         maps, agreement = trained.model.environment_map, mask_agreement(run.out)
-        relit = draw_relit(textured, scene)
+        relit = draw_relit(levels[0], scene)
         pictures = report_pictures(rendered, psnr, surface.drawn, scene, maps, behind, agreement, relit)
     budget = None if run.budget is None else budget_facts(run.budget, clock.steps)
     given = (scene, run.start, run.config, run.device)
     report = run_report(*given, trained, surface.mesh, scores, surface.scores, clock, budget)
     inspection = None if run.inspection is None else run.inspection.to_json()
-    report = replace(report, material=textured.material.to_json(), inspection=inspection)
+    report = replace(report, material=levels[0].material.to_json(), inspection=inspection)
     result_files.write_reports(run.out, report, pictures)
     run.step.progress(Event("report", result_line(report)))
     return run.out / REPORT

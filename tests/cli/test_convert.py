@@ -58,7 +58,7 @@ def test_results_stand_upright(tmp_path: Path, axis: int, sign: int) -> None:
     flat, white = np.full((4, 4, 3), (128, 128, 255), np.uint8), np.full((4, 4), 255, np.uint8)
     uvs, tangents = np.array([[0.0, 0], [1, 0], [0, 1]]), np.tile([*side, 1], (3, 1))
     model = TexturedMesh(corners, np.array([[0, 1, 2]]), uvs, tangents, (4, 4), flat, flat, white, Material())
-    write_textured(tmp_path, model.with_normals(np.tile(np.cross(side, up), (3, 1))), scene, OutputConfig())
+    write_textured(tmp_path, [model.with_normals(np.tile(np.cross(side, up), (3, 1)))], scene, OutputConfig())
     written = trimesh.load_scene(tmp_path / "model.glb", process=False).to_mesh()
     np.testing.assert_allclose(written.vertices, [[0, 0, 0], [1, 0, 0], [0, 3, 0]], atol=1e-6)
 

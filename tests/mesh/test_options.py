@@ -17,7 +17,7 @@ from mgsr.mesh.poisson import cell_size
 from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.mesh.surface_choice import is_torn
-from mgsr.mesh.texture import texture_mesh
+from mgsr.mesh.texture import texture_levels
 from mgsr.mesh.views import SurfaceView
 from tests.mesh.shapes import as_mesh, ball, cameras_around, views_of
 
@@ -68,7 +68,7 @@ def test_the_textured_model(views: list[SurfaceView], mesh: Mesh) -> None:
 
     def textured(*overrides: str) -> TexturedMesh:
         output = OutputConfig(faces=None, texture=None)
-        return texture_mesh(full, views, 0.03, output, MeshConfig(), shaded=False, options=expert(*overrides).mesh)
+        return texture_levels(full, views, 0.03, output, MeshConfig(), shaded=False, options=expert(*overrides).mesh)[0]
 
     usual = textured()
     assert max(textured("unwrap.max_side=48").size) < 0.7 * max(usual.size)

@@ -12,7 +12,7 @@ from mgsr.config import MeshConfig, OutputConfig
 from mgsr.data.images import linear_to_srgb
 from mgsr.mesh.relighting import SAMPLES, SeenSurface, irradiance, look_at_textured, studio_light
 from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
-from mgsr.mesh.texture import texture_mesh
+from mgsr.mesh.texture import texture_levels
 from mgsr.shading.environment_fit import cell_directions
 from mgsr.shading.material import Material
 from tests.mesh.shapes import cameras_around, looking_at_origin, position_color, views_of
@@ -27,7 +27,7 @@ def ball() -> TexturedMesh:
     """Build a ball with the colours of its places."""
     shape = trimesh.creation.icosphere(4, RADIUS)
     views = views_of(shape, cameras_around(16))
-    return texture_mesh(_full(shape), views, 0.02, OutputConfig(texture=256), MeshConfig(), shaded=False)
+    return texture_levels(_full(shape), views, 0.02, OutputConfig(texture=256), MeshConfig(), shaded=False)[0]
 
 
 def _full(shape: trimesh.Trimesh) -> ReconstructedMesh:

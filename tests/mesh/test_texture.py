@@ -12,7 +12,7 @@ import trimesh
 from mgsr.config import MeshConfig, OutputConfig
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
-from mgsr.mesh.texture import texture_mesh
+from mgsr.mesh.texture import texture_levels
 from mgsr.mesh.views import SurfaceView
 from mgsr.shading.material import Material
 from tests.mesh.shapes import cameras_around, joined, position_color, views_of
@@ -36,9 +36,9 @@ def textured_of(
     shape: trimesh.Trimesh, views: Sequence[SurfaceView], side: int = SIDE, faces: int | None = None
 ) -> TexturedMesh:
     """Return the textured model of a shape, whose colours contain no shading."""
-    return texture_mesh(
+    return texture_levels(
         surface(shape), views, 0.02, OutputConfig(faces=faces, texture=side), MeshConfig(), shaded=False
-    )
+    )[0]
 
 
 def read(textured: TexturedMesh, picture: np.ndarray, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
@@ -85,7 +85,7 @@ def test_the_light_that_gloss_tells_is_divided_out(brightness: float) -> None:
     full = surface(shape)
     full = replace(full, colors=np.broadcast_to(shown, full.colors.shape))
     glossy = Material(0.3, (0.2, 0.4), light=np.broadcast_to(light, (8, 16, 3)))
-    textured = texture_mesh(full, views, 0.02, OutputConfig(texture=SIDE), MeshConfig(), material=glossy)
+    textured = texture_levels(full, views, 0.02, OutputConfig(texture=SIDE), MeshConfig(), material=glossy)[0]
     _, colors = read(textured, textured.base_color)
     expected = albedo if brightness == 0.4 else albedo * 0.9 / 0.6
     np.testing.assert_allclose(srgb_to_linear(colors).mean(axis=0), expected, rtol=0.03)
@@ -93,9 +93,9 @@ def test_the_light_that_gloss_tells_is_divided_out(brightness: float) -> None:
 
 def test_matte_surfaces_have_the_light_that_was_divided_out() -> None:
     shape = ball()
-    textured = texture_mesh(
+    textured = texture_levels(
         surface(shape), views_of(shape, cameras_around(8)), 0.02, OutputConfig(texture=64), MeshConfig()
-    )
+    )[0]
     mean = textured.material.mean_light()
     assert textured.material.matte and mean is not None
     np.testing.assert_allclose(mean, 1, atol=0.02)
@@ -201,10 +201,23 @@ def test_inside_a_bowl_half_of_the_sky_is_hidden() -> None:
 def test_a_texel_is_as_large_as_asked() -> None:
     shape = ball()
     views = views_of(shape, cameras_around(4))
-    textured = texture_mesh(surface(shape), views, 0.02, OutputConfig(), MeshConfig(), shaded=False)
+    textured = texture_levels(surface(shape), views, 0.02, OutputConfig(), MeshConfig(), shaded=False)[0]
     flat = textured.uvs * textured.size[::-1]
     corners, places = flat[textured.faces], textured.vertices[textured.faces]
     stretch = np.linalg.norm(np.diff(places[:, :2], axis=1), axis=-1) / np.linalg.norm(
         np.diff(corners[:, :2], axis=1), axis=-1
     )
     assert 0.019 < np.percentile(stretch, 10) < 0.021, "along the charts"
+
+
+def test_levels_of_detail_have_a_quarter_of_the_faces_and_half_of_the_texels() -> None:
+    shape: trimesh.Trimesh = trimesh.creation.icosphere(5, 0.7)
+    views = views_of(shape, cameras_around(12))
+    output = OutputConfig(faces=10_000, texture=SIDE, lods=8)
+    levels = texture_levels(surface(shape), views, 0.02, output, MeshConfig(), shaded=False)
+    assert [len(each.faces) for each in levels] == pytest.approx([10_000, 2_500, 625], rel=0.02), "500 at least"
+    assert [max(each.size) for each in levels] == [SIDE, SIDE // 2, SIDE // 4]
+    for level in levels:
+        places, colors = read(level, level.base_color)
+        assert np.abs(np.linalg.norm(places, axis=1) - 0.7).mean() < 0.003
+        assert np.abs(colors - position_color(places)).mean() < 0.003

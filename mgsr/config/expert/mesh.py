@@ -101,6 +101,11 @@ class TextureOptions(Options):
     min_z: Positive = 0.05  # least z of a baked normal; a renderer shows black where it looks away from the surface
     brightest: Share = 0.9  # albedo that no surface exceeds; less light than that is not believed
     brighter: Share = 0.01  # share of the vertices that may exceed it
+    level_faces: Annotated[float, Range(0, 1, open=True)] = 0.25  # faces of a level of detail, over the level before
+    level_texels: Annotated[float, Range(0, 1, open=True)] = (
+        0.5  # texels along a side of a level, over the level before
+    )
+    min_level_faces: Count = 500  # faces below which there is no coarser level
     unwrap: UnwrapOptions = field(default_factory=UnwrapOptions)
     gloss: GlossOptions = field(default_factory=GlossOptions)
     static_light: StaticLightOptions = field(default_factory=StaticLightOptions)

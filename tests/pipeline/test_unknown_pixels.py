@@ -91,7 +91,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
         yield "training", [] if model is None else list(model.parameters().values())
     mesh = make_mesh(models, scene, config)
     yield "mesh", [mesh.vertices, mesh.faces, mesh.colors, str(mesh.light)]
-    textured = make_textured(models, scene, config, mesh)
+    (textured,) = make_textured(models, scene, config, mesh)
     yield "texture", [textured.base_color, textured.normal_map, textured.occlusion, str(textured.material)]
     rendered = list(render_views(models, scene.test, config))
     behind = scene.backdrop(config.train.background).color

@@ -179,7 +179,7 @@ def _declared_count(file: IO[bytes]) -> int:
 
 
 def _zstd_reader(file: IO[bytes]) -> Any:
-    import zstandard  # late: few archives need it
+    import zstandard  # imported here, because few archives need it
 
     # 128 MiB is the window that the format asks every decoder to support.
     return _Zstd(zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(file))

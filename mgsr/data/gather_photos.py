@@ -142,7 +142,7 @@ def _has_heif_brand(image: Path) -> bool:
 def _is_read_by_colmap(image: Path) -> bool:
     if is_heif(image):
         return False
-    import OpenImageIO  # late: training needs none
+    import OpenImageIO  # imported here, because training needs no OpenImageIO
 
     handle: Any = OpenImageIO.ImageInput.open(str(image))
     kind, depth = handle.format_name(), str(handle.spec().format)
@@ -164,7 +164,7 @@ def _free_name(name: Path, taken: set[str]) -> Path:
 
 
 def _png(picture: DecodedImage) -> bytes:
-    import cv2  # late: few captures need it
+    import cv2  # imported here, because few captures need it
 
     pixels = picture.colors[..., ::-1]
     if picture.alpha is not None:

@@ -106,7 +106,7 @@ def read_mask(path: Path, source: str) -> np.ndarray:
 
 def reduce_area(image: np.ndarray, width: int, height: int) -> np.ndarray:
     """Return the image [H,W,C] at a smaller size, float32; each pixel is the exact mean over its area."""
-    import cv2  # late: training needs no OpenCV
+    import cv2  # imported here, because training needs no OpenCV
 
     pixels = np.ascontiguousarray(image, np.float32)
     reduced = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
@@ -288,7 +288,7 @@ def _open(path: Path, source: str) -> Any:
 
 
 def _open_heif(path: Path, source: str) -> Any:
-    import pillow_heif  # late: few captures need it
+    import pillow_heif  # imported here, because few captures need it
 
     _check_there(path, source)
     try:

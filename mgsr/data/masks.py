@@ -32,7 +32,7 @@ def fitted_mask(mask: np.ndarray, width: int, height: int, photo: Photo) -> np.n
         )
     if across < 1 and down < 1:
         return to_uint8(reduce_area(mask[..., None], width, height)[..., 0])
-    import cv2  # late: training needs no OpenCV
+    import cv2  # imported here, because training needs no OpenCV
 
     return cv2.resize(mask, (width, height), interpolation=cv2.INTER_LINEAR)
 

@@ -66,7 +66,7 @@ def _sharpness(view: View, options: SharpnessOptions) -> float:
     Sharpness is the mean squared gradient over that of the smoothed photograph. It does not depend on contrast and
     depends little on content; motion blurs one direction alone.
     """
-    import cv2  # late: training needs no OpenCV
+    import cv2  # imported here, because training needs no OpenCV
 
     grey: np.ndarray = cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY).astype(np.float32)
     if view.alpha is not None:  # on white

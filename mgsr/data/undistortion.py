@@ -136,7 +136,7 @@ def resample(image: np.ndarray, how: Undistortion) -> np.ndarray:
 
     Both are float32, or uint8, where results are rounded.
     """
-    import cv2  # late: training needs no OpenCV
+    import cv2  # imported here, because training needs no OpenCV
 
     # OpenCV interpolates floats in two thirds of the time of bytes.
     pixels = np.ascontiguousarray(image, np.float32)
@@ -210,7 +210,7 @@ def _around(place: np.ndarray, shown: np.ndarray) -> np.ndarray:
     Far from the centre polynomials fold back over themselves. Farther out they may fold again, and show the photograph
     a second time with the right orientation.
     """
-    import cv2  # late: training needs no OpenCV
+    import cv2  # imported here, because training needs no OpenCV
 
     _, pieces = cv2.connectedComponents(shown.view(np.uint8), connectivity=4)
     row, col = min(int(place[1]), len(shown) - 1), min(int(place[0]), shown.shape[1] - 1)

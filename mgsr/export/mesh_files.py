@@ -100,7 +100,7 @@ def write_textured_glb(
 
 def png_bytes(picture: np.ndarray) -> bytes:
     """Return a picture [H,W] or [H,W,3] uint8 as the bytes of a PNG file."""
-    import cv2  # late: training needs no OpenCV
+    import cv2  # imported here, because training needs no OpenCV
 
     _, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1] if picture.ndim == 3 else picture))
     return data.tobytes()

@@ -104,7 +104,7 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
 
     Raises MgsrError where it can't be written.
     """
-    import cv2  # late: training needs no OpenCV
+    import cv2  # imported here, because training needs no OpenCV
 
     path.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(path), np.ascontiguousarray(pixels)):

@@ -38,7 +38,7 @@ def find_features(views: Sequence[View], options: FeatureOptions = FeatureOption
 
 
 def _features(view: View, options: FeatureOptions) -> Features:
-    import cv2  # late: training needs no OpenCV
+    import cv2  # imported here, because training needs no OpenCV
 
     pixels = view.image if view.alpha is None else composite_on_white(view.image, view.alpha)
     grey: np.ndarray = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
@@ -68,7 +68,7 @@ def _light(image: np.ndarray, places: np.ndarray, size: tuple[int, ...], options
 
     image [H,W,3] uint8: the photograph. size: the rows and columns of the image that the places belong to.
     """
-    import cv2  # late: training needs no OpenCV
+    import cv2  # imported here, because training needs no OpenCV
 
     table = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
     lost = ((image >= options.clipped) | (image <= options.black)).any(axis=2).astype(np.float32)

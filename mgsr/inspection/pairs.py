@@ -128,7 +128,7 @@ def same_geometry(here: np.ndarray, there: np.ndarray, inlier: float) -> np.ndar
 
     inlier: the largest distance from an epipolar line, pixels.
     """
-    import cv2  # late: training needs no OpenCV
+    import cv2  # imported here, because training needs no OpenCV
 
     found, inside = cv2.findFundamentalMat(here, there, cv2.FM_RANSAC, inlier, 0.999, 1000)
     if found is None or found.shape != (3, 3) or inside is None:

@@ -62,7 +62,7 @@ def _packed(
     Returns for each new vertex the charts' vertex [V], the faces [F,3] of new vertices, texture coordinates [V,2] 0..1,
     and the atlas's height and width.
     """
-    import xatlas  # late: it is only needed here
+    import xatlas  # imported here, because nothing else needs it
 
     atlas = xatlas.Atlas()
     atlas.add_uv_mesh(charts.places.astype(np.float32), charts.faces.astype(np.uint32))

@@ -64,7 +64,7 @@ def stage_name(stage: str) -> str:
 
 
 def with_decisions(data: ReportData) -> ReportData:
-    """Return the same run with its decisions told, unless it brings its own."""
+    """Return the data with the decisions of `tell_decisions` added where it has none."""
     return data if data.decisions else replace(data, decisions=tell_decisions(data))
 
 
@@ -127,7 +127,7 @@ def _about_input(data: ReportData) -> Iterator[Decision]:
         )
         yield Decision("Backdrop", f"plain, {color}", why)
     start = given.starting_points
-    # Masks that come to nothing leave a start without them.
+    # Where the learned masks are unusable, the start uses stereo or a ball.
     if backdrop is not None and (start is None or start.source not in ("stereo", "ball")):
         why = "Splats need only cover the object, so their opacity shows its silhouettes."
         yield Decision("Silhouettes", "learned for the start and the surface", why)
@@ -205,7 +205,7 @@ def _about_light(data: ReportData) -> Iterator[Decision]:
 
 
 def _removed_area(data: ReportData) -> float:
-    """Return the share of the mesh's area that was removed, as photographs contradict it."""
+    """Return the share of the mesh's area that was removed because photographs contradict it."""
     step = (data.mesh_steps or {}).get("remove_contradicted")
     return 0.0 if step is None else float(step.outcome["removed_area"])
 

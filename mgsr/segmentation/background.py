@@ -171,7 +171,7 @@ class BackgroundSources:
         allowed [H,W] uint8: 255 where the photograph may be sampled; None allows all of it. Returns the colours [P,3]
         sRGB 0..1, and which of the points it shows in an allowed place, [P] bool.
         """
-        import cv2  # late: training needs no OpenCV
+        import cv2  # imported here, because training needs no OpenCV
 
         pixels, depth = self.cameras[index].project(places)
         pixels = np.where(depth[:, None] > 0, pixels - 0.5, -9)  # points behind the camera fall outside the image

@@ -34,7 +34,7 @@ class Matte:
 
 def first_region(mask: np.ndarray, options: MatteOptions = MatteOptions()) -> np.ndarray:
     """Return where the object may lie, [H,W] bool: its first mask [H,W] bool, dilated."""
-    import cv2  # late: training needs no OpenCV
+    import cv2  # imported here, because training needs no OpenCV
 
     reach = max(2, round(options.first_searched * float(mask.sum()) ** 0.5))
     disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))

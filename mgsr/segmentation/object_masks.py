@@ -183,7 +183,7 @@ class _Search:
 
         They are computed in photographs of `fine_side` pixels and resized to the views.
         """
-        import cv2  # late: training needs no OpenCV
+        import cv2  # imported here, because training needs no OpenCV
 
         own, mattes = self._options.search, self._options.mattes
         fine = [small_view(view, own.fine_side) for view in [*train, *test]]
@@ -216,7 +216,7 @@ class _Search:
 
         larger: the same photographs at a larger size, to sample in place of the small ones.
         """
-        import cv2  # late: training needs no OpenCV
+        import cv2  # imported here, because training needs no OpenCV
 
         own, background, blocked = self._options.search, self._options.background, self._blocked()
         lifted, _ = lifted_labels(self._model, [mask[..., None] for mask in blocked], self._cameras)
@@ -234,7 +234,7 @@ class _Search:
 
     def _blocked(self) -> list[np.ndarray]:
         """Return the pixels [H,W] bool of each photograph that do not count as background: mask and silhouette."""
-        import cv2  # late: training needs no OpenCV
+        import cv2  # imported here, because training needs no OpenCV
 
         around = np.ones((2 * self._options.search.blocked + 1,) * 2, np.uint8)
         wide: list[np.ndarray] = self.masks

@@ -1,9 +1,9 @@
 """Shading of a surface under static light, separated from its colours.
 
-Brightness changes with the direction of a surface and with what hides the sky, albedo changes at few places. So the
-light is chosen that explains most of the change between neighbouring places, and steps of the albedo count as outliers
-(Retinex; Land and McCann, 1971). The light is low in frequency, as matte surfaces show no more of it (Ramamoorthi and
-Hanrahan, 2001), and its mean is white and 1.
+Shading varies smoothly with the normal and with the visible part of the sky. Albedo changes at few places. The fit
+therefore explains as much as possible of the change between neighbouring vertices by light. It treats steps of the
+albedo as outliers (Retinex; Land and McCann, 1971). The light has spherical harmonics of degree 2, because matte
+surfaces reveal no higher ones (Ramamoorthi and Hanrahan, 2001). Its mean is white, with a radiance of 1.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from mgsr.shading.environment_fit import cell_directions
 class StaticLight:
     """Static light on the vertices of a mesh, relative to its mean.
 
-    irradiance [V,3], over pi, with what the surface itself sends. harmonics [9,3]: the sky's radiance, as coefficients
-    of `real_harmonics`; the first are 1.
+    irradiance [V,3]: divided by pi, including the light that the surface itself sends.
+    harmonics [9,3]: the sky's radiance, as coefficients of `real_harmonics`; the first of each channel is 1.
     """
 
     irradiance: np.ndarray
     harmonics: np.ndarray
 
     def environment(self, height: int, freedom: float = StaticLightOptions().freedom) -> np.ndarray:
-        """Return a sky [height,2*height,3], nowhere negative, that gives matte surfaces the same irradiance.
+        """Return a non-negative sky [height,2*height,3] that gives matte surfaces the same irradiance.
 
-        Harmonics of a low degree are negative in places. Matte surfaces do not tell what the higher degrees are; so
-        the sky is the nearest one that has these harmonics and is nowhere negative. freedom: what a change of the
-        radiance costs, relative to the same change of a harmonic.
+        Harmonics of a low degree alone are negative in places. Matte surfaces do not reveal the higher degrees. So the
+        function chooses the non-negative sky that is nearest to the harmonics and nearly keeps them. freedom: the cost
+        of a change of the radiance, relative to the same change of a harmonic.
         """
         directions = cell_directions(height).reshape(-1, 3)
         areas = np.sqrt(1 - directions[:, 2] ** 2)
@@ -58,13 +58,16 @@ def fit_static_light(
     seed: int = 0,
     options: StaticLightOptions = StaticLightOptions(),
 ) -> StaticLight:
-    """Find the static light on a mesh's vertices.
+    """Fit the static light on a mesh's vertices.
 
-    colors [V,3]: the light that the vertices send out, linear. They also light each other. Where no light explains the
-    colours better, the light is even, and only the hidden parts of the sky count.
+    colors [V,3]: the linear light that the vertices send out. Vertices also light each other. seen: what each vertex
+    sees of the sky and of the surface. seed: of the random vertices that are compared.
+
+    If no directional light explains the colours clearly better, the sky is uniform. Then only ambient occlusion and
+    interreflection shade the surface.
     """
     colors = np.maximum(colors.astype(np.float64), 1e-3)
-    # The rays' noise would be explained by a sky as bright as the surface.
+    # Smoothing removes the noise of the random rays. Otherwise, the fit would choose a sky that cancels this noise.
     sky, bounced = (diffuse(each, mesh.laplacian, options.reach) for each in (seen.sky, seen.surface @ colors))
     first, second = _pairs(mesh, seed, options)
     logs = np.log(colors)
@@ -74,7 +77,7 @@ def fit_static_light(
 
 
 def _pairs(mesh: Mesh, seed: int, options: StaticLightOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Return pairs of neighbouring vertices [Q] among some of them, drawn by area."""
+    """Draw vertices in proportion to area, and return the pairs of neighbours among them: two arrays [Q]."""
     areas = np.linalg.norm(mesh.face_crosses, axis=1)
     weights = np.bincount(mesh.faces.ravel(), np.repeat(areas, 3), len(mesh.vertices))
     count = min(options.places, int(np.count_nonzero(weights)))
@@ -92,9 +95,10 @@ def _fit_light(
     second: np.ndarray,
     options: StaticLightOptions,
 ) -> np.ndarray:
-    """Return the light [9] that explains the changes of the log brightness [V] between pairs of vertices [Q].
+    """Fit one channel's light [9] to the changes of log brightness between pairs of vertices.
 
-    sky [V,9] and bounced [V]: as in `static_irradiance`, of one channel.
+    sky [V,9] and bounced [V]: as in `fit_static_light`. logs [V]: the log brightness of the vertices. first, second
+    [Q]: the vertices of each pair.
     """
     change, even = logs[first] - logs[second], sky[:, 0] + bounced
     hold = options.prior * len(change) ** 0.5
@@ -116,6 +120,6 @@ def _fit_light(
 
 
 def _robust(residuals: np.ndarray, step: float) -> np.ndarray:
-    """Return residuals [Q] whose squares grow like their absolute values beyond `step`."""
+    """Scale residuals [Q] so that the squares of those beyond `step` grow linearly with the residual."""
     scaled = residuals / step
     return np.asarray(step * np.sign(residuals) * np.sqrt(2 * (np.sqrt(1 + scaled * scaled) - 1)))

@@ -51,7 +51,7 @@ def _without_object(view: View, mask: np.ndarray, beside: float) -> View:
 
     beside: width of the margin, as a share of the photograph's longer side.
     """
-    import cv2  # late: training needs no OpenCV
+    import cv2  # imported here, because training needs no OpenCV
 
     reach = max(1, round(beside * max(mask.shape)))
     around = cv2.dilate(mask, np.ones((2 * reach + 1,) * 2, np.uint8)) > 0

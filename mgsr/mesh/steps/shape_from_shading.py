@@ -1,8 +1,11 @@
 """Refine the surface by shape from shading.
 
-A flash tells each point's normal by itself. Training knows the large shape better than shading does, which
-interreflection in concavities flattens. An environment map needs the observations of neighbours: it betters the first
-surface on the hull, but no trained one, of which it only tells the photometric refinement what is mirrored.
+Under a flash, the brightness of each point determines its own normal. The large shape is kept from training, because
+interreflection makes shading flatten concavities.
+
+Under an environment map, a normal also needs the observations of neighbouring points. Such normals improve the first
+surface on the visual hull, but not a trained surface. On a trained surface, the step therefore only estimates the map.
+Photometric refinement uses the map to weight reflected detail less.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from mgsr.shading.shape_from_shading import shape_from_shading
 class ShapeFromShading(MeshStep):
     """Estimate the light, and under a flash bend the surface to the normals that explain its shading.
 
-    The light is estimated anew in each turn, as it is known better on a better surface. A turn after the first needs a
+    Each turn estimates the light again, because a better surface gives a better estimate. Turns after the first need a
     flash.
     """
 

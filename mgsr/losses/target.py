@@ -15,10 +15,11 @@ from mgsr.ops.pixels import covered
 class Target:
     """One photograph, ready for the losses.
 
-    color [H,W,3] float32 0..1, composited on the background that the rendering has too; alpha [H,W] float32 0..1, or
-    None without masks; camera: whose view it is; region (y0, y1, x0, x1), ends excluded: where the photographic losses
-    look, None for everywhere; invalid [P] int64: the pixels that the photograph does not show, row x W + column, None
-    if it shows all.
+    color [H,W,3] float32 0..1: the photograph, composited on the rendering's background.
+    alpha [H,W] float32 0..1: None without masks.
+    camera: the photograph's camera.
+    region: (y0, y1, x0, x1), ends excluded, the box of the photographic losses; None for the whole image.
+    invalid [P] int64: the flat indices, row x W + column, of invalid pixels; None if all are valid.
     """
 
     color: Tensor
@@ -26,14 +27,14 @@ class Target:
     camera: Camera
     region: tuple[int, int, int, int] | None = None
     off_edge: Tensor | None = None  # [H,W] float32: 0 near the mask's outline, 1 elsewhere; None without masks
-    off_edge_sum: float | None = None  # over all pixels, beside off_edge; None where nobody knows it
+    off_edge_sum: float | None = None  # the sum of off_edge over all pixels; None if it was not computed
     invalid: Tensor | None = None
 
     def compared(self, rendered: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
-        """Return a rendering [H,W,...] and its target with the same values at invalid pixels, for a loss.
+        """Return `rendered` [H,W,...] and its target `wanted` [H,W,...] with equal values at invalid pixels.
 
-        At invalid pixels both are the rendering, and no gradient flows. So such pixels cost nothing, and windows that
-        reach over them see no difference there.
+        At invalid pixels both have the rendering's value without a gradient. Such pixels therefore add nothing to a
+        loss, also in windows that contain some of them.
         """
         if self.invalid is None:
             return rendered, wanted
@@ -53,8 +54,8 @@ class Target:
         return float(np.linalg.norm(self.camera.center))
 
     def covered(self, alpha: Tensor) -> Tensor:
-        """Return the pixels that have a surface, [H,W] float32, 0 or 1; depth and normals mean something only there.
+        """Return a mask [H,W] float32, 0 or 1, of the pixels that show the surface, where depth and normals count.
 
-        They are valid, over half covered by the rendering's alpha [H,W] and, with masks, by the photograph's.
+        These pixels are valid. The rendering's alpha [H,W] exceeds one half there and, with masks, the photograph's.
         """
         return self.valid_weights(covered(alpha, self.alpha))

@@ -35,10 +35,15 @@ def texture_mesh(
 ) -> TexturedMesh:
     """Reduce the full surface to `output.faces`, unwrap it, and bake its maps.
 
-    full, views: in one frame. pixel: the size of the photographs' pixels on the surface, in its unit, which a texel
-    gets unless `output.texture` gives the number of texels. A metal's base colour is its tint; others blend the views'
-    colours, as in `seen_colors`. shaded: whether these colours contain the shading of static light, which is then
-    divided out, and the light's brightness with it where the material tells it. options: all of the mesh's.
+    The base colour of a metal is its tint. The base colour of other materials blends the views' colours, as in
+    `seen_colors`.
+
+    full, views: in the same frame.
+    pixel: the size of the photographs' pixels on the surface, in its unit. Texels have this size unless
+    `output.texture` gives their number.
+    shaded: whether the colours contain the shading of static light. The shading is then divided out. The light's
+    brightness is divided out too, if the material determines it.
+    options: the options of the mesh.
     """
     own, static = options.texture, options.texture.static_light
     unwrapped = unwrap(_reduced(full, output.faces, own.same_side), pixel, output.texture, own.unwrap)
@@ -72,10 +77,11 @@ def texture_mesh(
 
 
 def _albedo_scale(colors: np.ndarray, material: Material, options: TextureOptions) -> np.ndarray:
-    """Return the factors [3] that make albedo of colours [V,3], linear, in the unit of the photographs.
+    """Return the factors [3] that convert linear colours [V,3], in the photographs' unit, to albedo.
 
-    They are the inverse of the mean light, which a dielectric's gloss tells, or 1 where it is not known. The light of
-    clipped lamps is not known either, so the factors are reduced until nearly all albedo is at most `brightest`.
+    They are the inverse of the mean light, which the gloss of a dielectric determines; without it, they are 1. A lamp
+    that photographs clip is brighter than the estimate, so the factors may be too large. They are therefore reduced
+    until nearly all albedo is at most `brightest`.
     """
     light = material.mean_light()
     if light is None:
@@ -88,7 +94,7 @@ def _albedo_scale(colors: np.ndarray, material: Material, options: TextureOption
 def _reduced(full: ReconstructedMesh, faces: int | None, same_side: float) -> Mesh:
     """Return the surface with at most `faces` faces, None for all, and with the full surface's normals.
 
-    same_side: as for `find_texels`.
+    same_side: as in `find_texels`.
     """
     if faces is None or len(full.faces) <= faces:
         return Mesh(full.vertices, full.faces).with_normals(full.normals)

@@ -31,8 +31,9 @@ def make_mesh(
 ) -> ReconstructedMesh:
     """Extract the surface, in the user's frame.
 
-    go_on: whether there is time for another round of refinement; start: as for `extract_mesh`. Raises MeshError, with
-    the reason, where no surface is found.
+    go_on: returns whether there is time for another round of refinement. start: as for `extract_mesh`.
+
+    Raises MeshError, with the reason, if no surface is found.
     """
     views = surface_views(model, scene, config)
     outlined = outlined_scene(model, scene, config)
@@ -54,8 +55,8 @@ def make_mesh(
 def make_textured(model: TrainedModel, scene: Scene, config: Config, mesh: ReconstructedMesh) -> TexturedMesh:
     """Make the textured model of the surface; both are in the user's frame.
 
-    Its colours come from renders of the training views, as large as the photographs, and a texel is as large as a pixel
-    of the photographs.
+    Its colours come from renders of the training views at the photographs' size. A texel is as large as a pixel of the
+    photographs.
     """
     frame = scene.user_from_scene
     full = mesh.in_frame(frame.to_scene(mesh.vertices))

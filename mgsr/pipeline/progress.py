@@ -14,10 +14,12 @@ from mgsr.training.progress import Progress
 class Event:
     """One event of a run.
 
-    step: load, cameras, check, start, plan, train, export, mesh, evaluate, model, render or report; text: one line for
-    the user; training: the training's progress, in events of the training; done: the completed share 0..1 of a long
-    step, in events during that step; inspection: what the step check found, in its last event; scene: the photographs
-    in that event, and in the one that tells of a found object, then with its masks.
+    step: load, cameras, check, start, plan, train, export, mesh, evaluate, model, render or report.
+    text: one line for the user.
+    training: the progress of training, in events of the step train.
+    done: the completed share, 0..1, in events during a long step.
+    inspection: the findings of the step check, in its last event.
+    scene: the photographs, in that event and in the event that announces a found object, there with its masks.
     """
 
     step: str

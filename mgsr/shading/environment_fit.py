@@ -22,9 +22,9 @@ from mgsr.shading.observations import Observations
 class FittedEnvironmentMap:
     """An environment map fitted to observations.
 
-    light [H,2H]: float32 linear light, up to a constant; polar angle by azimuth. deviation: the root mean square
-    residual of the observations, in linear light. ratio: of that to the deviation without a map, from each point's mean
-    brightness.
+    light [H,2H]: float32 linear light, up to a constant; rows are polar angles, columns azimuths.
+    deviation: the root mean square residual of the observations, in linear light.
+    ratio: `deviation` divided by the observations' deviation from each point's mean brightness, which needs no map.
     """
 
     light: np.ndarray

@@ -1,9 +1,11 @@
 """Normals from gloss: each normal is tilted until the environment map explains how its point's brightness changes.
 
-The tilts are searched on a coarse grid, as lamps make the environment too uneven for gradient descent, and on a fine
-grid around the best coarse tilt: a parabola between coarse steps errs by a few tenths of a degree, in the same
-direction for all points of a flat face, which then sags. The residual and its curvature on the coarse grid give the
-confidence. The curvature at the fine grid's minimum is mostly noise.
+Lamps make the environment too uneven for gradient descent, so the tilts are searched on a coarse grid. A second search
+on a fine grid around the best coarse tilt follows. Without it, a parabola between coarse steps would err by a few
+tenths of a degree. The error has the same direction for all points of a flat face, so the face would sag.
+
+The residual and its curvature on the coarse grid give the confidence. The curvature at the fine grid's minimum is
+mostly noise.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ def normals_from_environment(
     environment = fit_environment_map(observations, own, options=options.fit)
 
     def best(around: np.ndarray, max_tilt: float, step: float, mean_cost: float | None) -> _Best:
-        """Search tilts of the unit normals `around` [P,3]; their tilts from `own` cost as mean_cost says."""
+        """Search tilts of the unit normals `around` [P,3]; mean_cost scales the cost of their tilts from `own`."""
         tilts = np.tan(np.radians(np.arange(-max_tilt, max_tilt + step / 2, step)))
         first, second = tangents(around)
         frames = np.stack([first, second, around], axis=1)

@@ -1,4 +1,4 @@
-"""The guard of a training: a step that goes bad is noticed, undone and logged."""
+"""The guard of a training: it detects steps with invalid numbers, undoes them and logs them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from mgsr.training.trainable import Kind, Trainable, copied
 
 log = logging.getLogger("mgsr.training")
 
-# A loss blows up when its mean over a stretch is this many times the usual one, and this much more: a loss of
-# images within 0..1 starts near 0.3 and ends near 0.03.
+# A loss has blown up when its mean since the last check exceeds the usual mean by this factor and by this amount. For
+# scale: a loss of images within 0..1 starts near 0.3 and ends near 0.03.
 BLOW_UP_FACTOR, BLOW_UP_RISE = 5.0, 0.1
 # Consecutive bad steps before the branches are restored, and consecutive restorations before training fails.
 MOST_BAD_STEPS, MOST_RETURNS = 3, 3
@@ -30,10 +30,12 @@ class Guard:
     """A guard that watches one stage's steps.
 
     A step is bad when its loss or a gradient is not finite or exceeds 1e19. The square of a larger number overflows
-    float32, and with it Adam's second moment. Such a step is skipped, and training goes on with the next view. Every
-    `every` steps the guard checks the branches. Where a parameter is not finite, or the loss has blown up, it restores
-    their state of the last good check. On a GPU nothing is read between two checks; a bad step's gradients count as
-    zero there.
+    float32, and with it Adam's second moment. The guard skips a bad step, and training continues with the next view.
+
+    Every `every` steps the guard also checks the parameters and the loss. If a parameter is not finite, or the loss
+    has blown up, it restores the state of the last good check.
+
+    On a GPU the host reads nothing between two checks. There, the optimiser treats a bad step's gradients as zero.
     """
 
     def __init__(self, stage: Stage, every: int, incidents: list[str]) -> None:
@@ -48,13 +50,13 @@ class Guard:
         self._kept = self._copies()
 
     def admits(self, step: Step, view: str) -> bool:
-        """Return whether the step may be taken.
+        """Return whether the optimiser may take the step.
 
-        On a GPU the answer is always yes; the optimiser then reads `bad` and treats the gradients of a bad step as
-        zero. Raises TrainingError where going back did not help.
+        On a GPU the answer is always True. There, the optimiser reads `bad` and treats a bad step's gradients as zero.
+        Raises TrainingError if the steps stay bad after the state was restored MOST_RETURNS times.
         """
-        # The colours' gradients, most of the numbers, are skipped: whatever spoils them also spoils those of opacities
-        # and centres.
+        # The check skips the colours' gradients, which are most of the numbers. An invalid one makes the gradients of
+        # opacities and centres invalid too.
         bad = any_bad([step.loss.values, *_tensors(self.stage.trainables, "grad", without=SH_NAMES)])
         if on_card(bad):
             self._dropped.append(bad)
@@ -72,7 +74,8 @@ class Guard:
     def look_back(self, values: Tensor) -> None:
         """Record the loss of a completed step, and check the recent steps when a check is due.
 
-        values [...]: the terms of the loss, of any shape. Raises TrainingError where going back did not help.
+        values [...]: the terms of the loss, of any shape. Raises TrainingError if the steps stay bad after the state
+        was restored MOST_RETURNS times.
         """
         self._losses.append(values)
         if len(self._losses) < self.every:
@@ -87,7 +90,7 @@ class Guard:
         self._losses, self._returns, self._kept = [], 0, self._copies()
 
     def expect_anew(self) -> None:
-        """Forget the usual loss, as it is about to rise for a good reason, such as an opacity reset."""
+        """Forget the usual loss before an expected rise, such as after an opacity reset."""
         self._usual, self._losses, self._kept = None, [], self._copies()
 
     def state(self) -> dict[str, Any]:
@@ -126,7 +129,7 @@ class Guard:
             )
         self._note(f"the last {len(self._losses)} steps were undone: {trouble}")
         for part in self.stage.trainables:
-            steps = part.steps  # the rates go on fading
+            steps = part.steps  # the learning rates continue to decay
             part.restore(copied(self._kept[part.name]))
             part.steps = steps
         self._losses, self._bad_steps = [], 0

@@ -43,8 +43,10 @@ T = TypeVar("T")
 class Plan:
     """A run before its first iteration.
 
-    train_state: the branches and maps to train; stages: in order; curve_views: the views that only the error curve
-    uses; backdrop: the background behind the splats.
+    train_state: the branches and maps to train.
+    stages: the stages in their order.
+    curve_views: the views that only the error curve uses.
+    backdrop: the background behind the splats.
     """
 
     train_state: TrainState
@@ -60,7 +62,7 @@ class Plan:
     def set_reflector(self, reflector: Reflector) -> bool:
         """Let a mesh reflect the environment map from the stage FINISH on, and return whether it does.
 
-        It does so where the map is used and masks outline the object.
+        The mesh reflects the map only if the map is used and masks outline the object.
         """
         finish, light = self.stages[-1], self.train_state.environment_map
         if finish.name != FINISH or light is None or not (light.used and light.settings.iterations):
@@ -76,7 +78,7 @@ class Plan:
 class _Photographs:
     """A stage's views, and reduced copies of them where they are large enough.
 
-    The last `held_out` of both are kept from training. behind: the colour on which renderings of them are judged.
+    The last `held_out` of both are held out of training. behind: the colour behind renderings that are compared.
     """
 
     views: list[TrainingView]
@@ -89,7 +91,7 @@ class _Photographs:
         return len(self.views) - self.held_out
 
     def sparing(self, count: int) -> _Photographs:
-        """Return the same with `count` views, at even distances, kept from the stage."""
+        """Return the same photographs with `count` of them, evenly spaced, held out of the stage."""
         spared = _spread(range(len(self.views)), count)
         order = [i for i in range(len(self.views)) if i not in spared] + spared
         small = None if self.small is None else [self.small[i] for i in order]
@@ -196,9 +198,9 @@ def _gaussian_warmup(
 
 
 def _pruning(branch: Branch[Any], views: list[TrainingView]) -> Callable[[], int]:
-    """Return a function that prunes a branch's splats of least contribution, and returns their number.
+    """Return a function that prunes the splats with the least contribution and returns how many it pruned.
 
-    The pruned splats together contribute less than the share in the branch's settings.
+    All pruned splats together contribute less than the share `prune_contribution` in the branch's settings.
     """
     share = branch.densify.prune_contribution
 
@@ -226,7 +228,7 @@ def _warmup(
     warmup = config.train.warmup
     iterations = warmup.surfel_iterations if branch is train_state.surfels else warmup.gaussian_iterations
 
-    # The stages' lengths are read anew each time, for a scheduler may change them on the way.
+    # These functions read the stages' lengths at each call, because a scheduler may change the lengths.
     def window(densify: DensifyConfig) -> tuple[float, float]:
         return densify.start * stage.iterations, densify.stop * stage.iterations
 
@@ -249,14 +251,15 @@ def _warmup(
 def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list[Stage], config: Config) -> Stage:
     """Build the stage of the mutual phase; a single branch trains alone for the same number of iterations.
 
-    stages: those of the run, which may be filled in later.
+    stages: the run's list of stages, which the caller may fill in later.
     """
 
     def window(densify: DensifyConfig) -> tuple[float, float]:
         return 1, densify.mutual_stop * stage.iterations
 
     def progress(part: Trainable[Any], iteration: int) -> float:
-        # A warm-up that stopped early leaves the rest of its fading to this stage. The first that trains a part is it.
+        # A part's warm-up is the first stage that trains it. If the warm-up stopped early, this stage completes the
+        # decay of its learning rates.
         planned = next(each.iterations for each in stages if part in (*each.branches, each.environment_map))
         share = (part.steps - iteration) / max(1, planned + stage.iterations)
         return share + (1 - share) * iteration / max(1, stage.iterations)
@@ -288,7 +291,7 @@ def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list
 def _finish(train_state: TrainState, views: list[TrainingView], config: Config) -> Stage:
     """Build the stage that trains the rendering branch alone, at the final learning rates; it may end at any iteration.
 
-    Once a mesh reflects the environment map, the rates begin at those of the middle of training instead.
+    If a mesh reflects the environment map, the stage begins at the learning rates of the middle of training.
     """
     cycle = ViewCycle(len(views), seeded(config, 6))
     if train_state.gaussians is None:
@@ -310,13 +313,13 @@ def _finish(train_state: TrainState, views: list[TrainingView], config: Config) 
 
 
 def _measure(train_state: TrainState, branch: str, photographs: _Photographs) -> Callable[[], float]:
-    """Return a function that measures a branch's PSNR, dB, on the views that are kept from its warm-up."""
+    """Return a function that measures a branch's PSNR, dB, on the views held out of its warm-up."""
     held_out = photographs.views[photographs.trained_on :]
     return lambda: mean_psnr(train_state.picture(branch), held_out, photographs.behind)
 
 
 def _silhouettes_count(config: Config) -> bool:
-    """Return whether the alpha losses of both branches look after what lies outside the masks' boxes."""
+    """Return whether both branches have an alpha loss, which supervises the pixels outside the masks' boxes."""
     return config.train.surfels.alpha_weight > 0 and config.train.gaussians.alpha_weight > 0
 
 
@@ -332,6 +335,6 @@ def _spared(config: Config, views: int) -> int:
 
 
 def _spread(items: Sequence[T], count: int) -> list[T]:
-    """Return `count` items at even distances, or all if there are fewer."""
+    """Return `count` evenly spaced items, or all if there are fewer."""
     count = min(count, len(items))
     return [items[(2 * i + 1) * len(items) // (2 * count)] for i in range(count)]

@@ -1,11 +1,11 @@
-"""The stage scheduler's interface: what may change the lengths of stages while they run."""
+"""The interface of a stage scheduler, which may change the lengths of stages while they run."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-FINISH = "finish"  # the stage after the surface was made
+FINISH = "finish"  # the name of the stage that follows surface extraction
 
 
 class StageLength(Protocol):
@@ -25,9 +25,9 @@ class StageScheduler(Protocol):
     """A stage scheduler, which is asked before every iteration."""
 
     def length(self, stages: Sequence[StageLength], index: int, splats: Mapping[str, int]) -> int:
-        """Return how many iterations the stage with this index shall have in all: at least one more than it has done.
+        """Return the total number of iterations of the stage with this index.
 
-        splats: how many each branch has.
+        It must exceed the completed iterations by at least one. splats: the number of splats of each branch.
         """
 
     def state(self) -> dict[str, Any]:

@@ -33,12 +33,12 @@ from mgsr.training.views import TrainingView, ViewCycle, color_tensor
 
 SurfelBranch = Branch[SurfelModel]
 GaussianBranch = Branch[GaussianModel]
-KEPT_NORMALS = 256 * 2**20  # bytes
+KEPT_NORMALS = 256 * 2**20  # bytes of normals that `ReflectingSurface` may keep
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What densification needs of one render: its branch, its screen-space figures and its weight in the loss."""
+    """The statistics of one render for densification: its branch, its screen-space figures, and its loss weight."""
 
     branch: Branch[Any]
     stats: Any
@@ -47,7 +47,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Step:
-    """One iteration's loss, and what densification needs of its renders."""
+    """One iteration's loss, and the statistics of its renders for densification."""
 
     loss: Loss
     seen: list[Seen]
@@ -55,9 +55,9 @@ class Step:
 
 @dataclass(frozen=True)
 class Coarse:
-    """A stage's views made smaller, for the first `share` of its iterations.
+    """Reduced views for the first `share` of a stage's iterations.
 
-    Small images suffice while splats still move far, and take less time.
+    Small images take less time. They suffice while splats still move far.
     """
 
     views: list[TrainingView]
@@ -92,11 +92,15 @@ class ModelSelection(Protocol):
 class Stage:
     """A stage of training and its progress; a scheduler may change its number of iterations during training.
 
-    branches and environment_map: the models to train. compute renders one view on a background and returns its Step,
-    given the iteration (from 0); window gives the first and last iteration of a branch's densification; progress 0..1
-    of the whole run, for one of its trainables. selection: chooses a model during the stage; coarse: the smaller views
-    at the start; prune: drops splats at the end, and returns their number; growth: adapts the splats of a branch
-    without gradient-based densification; clearance: the regions to keep free of splats.
+    branches, environment_map: the models to train.
+    compute: renders one view on a background at an iteration (from 0), and returns its Step.
+    window: returns the first and the last iteration of a branch's densification.
+    progress: returns the share, 0..1, of the whole run that is done, for one of the trainables.
+    selection: chooses a model during the stage.
+    coarse: the reduced views for the start.
+    prune: drops splats at the stage's end, and returns their number.
+    growth: adapts the splats of a branch that has no gradient-based densification.
+    clearance: the regions to keep free of splats.
     """
 
     name: str
@@ -171,8 +175,8 @@ class Stage:
 class ReflectingSurface:
     """The environment map and the surface that reflects it; only the map learns.
 
-    Where the map has no reflector, the 2D branch reflects it. The branch must stand still then, for its
-    normals are kept, as float16, while KEPT_NORMALS lasts.
+    Where the map has no reflector, the 2D branch reflects it. The branch must not change then, because its normals
+    are kept as float16, up to KEPT_NORMALS bytes.
     """
 
     environment_map: EnvironmentMapTrainer
@@ -197,7 +201,7 @@ class ReflectingSurface:
 def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> Callable[..., Step]:
     """Return a function that computes a step of the 2D branch on the photographs (Algorithm 1).
 
-    `warming` raises the SH degree and holds back the regularisers as the warm-up's settings say.
+    warming: whether the stage is the warm-up, whose settings raise the SH degree and delay the regularisers.
     """
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
@@ -217,8 +221,8 @@ def gaussians_alone(
 ) -> Callable[..., Step]:
     """Return a function that computes a step of the 3D branch on the photographs (Algorithm 1).
 
-    `warming` raises the SH degree; surface: adds the environment map's reflection in the surface, with the 2D branch
-    frozen.
+    warming: whether the stage is the warm-up, which raises the SH degree. surface: adds the environment map's
+    reflection; the 2D branch is frozen.
     """
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
@@ -247,7 +251,7 @@ def both_teach(
 ) -> Callable[..., Step]:
     """Return a function that computes a step of both branches, on the photographs and on each other (Algorithm 2).
 
-    environment_map: the light that the surface reflects; it is trained where it is used.
+    environment_map: the map that the surface reflects. The step trains it if it is used.
     """
     both = config.paper.teaching is Teaching.BOTH_WAYS
 

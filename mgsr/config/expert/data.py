@@ -19,13 +19,15 @@ Factor = Annotated[float, Range(1)]
 class BackdropOptions(Options):
     """The search for a backdrop of one colour in photographs without masks."""
 
-    side: Annotated[int, Range(16)] = 200  # pixels; longer photographs are subsampled by rows and columns
-    border: Annotated[float, Range(0, 0.5, open=True)] = 0.03  # width, as a share of a photograph's shorter side
+    side: Annotated[int, Range(16)] = 200  # pixels; longer side to which photographs are subsampled by rows and columns
+    border: Annotated[float, Range(0, 0.5, open=True)] = 0.03  # width of the border, as a share of a photograph's
+    # shorter side
     plain: Level = 16  # difference from the borders' median colour up to which a pixel counts as plain
     min_plain: Share = 0.9  # share of the border pixels that must be plain
-    different: Level = 48  # difference from which a pixel shows something else than the backdrop
-    min_different: Share = 0.02  # share of the other pixels that must be different; else nothing stands before it
-    near: Level = 24  # difference below which a point's colour counts as the backdrop's
+    different: Level = 48  # difference from which a pixel shows something other than the backdrop
+    min_different: Share = 0.02  # least share of the other pixels that must be different; with fewer, nothing stands
+    # before the backdrop
+    near: Level = 24  # difference from the backdrop below which a point counts as part of it
 
 
 @dataclass(frozen=True)
@@ -36,38 +38,39 @@ class MaskUseOptions(Options):
     """
 
     free_border: Share = 0.75  # share of black border pixels from which masks are silhouettes
-    min_black: Share = 0.01  # median share of black pixels in silhouettes; with less, the object fills the image
-    places: Pair = 20  # along each side of the cube of places that masks are compared on
-    reach: Positive = 1.25  # half that side over the radius of the ball that the images show whole
-    ignored: Share = 0.04  # agreement in space below which black is ignored; black rectangles at random places have
-    # at most 0.04, and masks of objects that the image cuts off 0.09 to 0.23
+    min_black: Share = 0.01  # least median share of black pixels in silhouettes; with less, the object fills the image
+    places: Pair = 20  # sample points along each side of the cube in which masks are compared
+    reach: Positive = 1.25  # half the side of that cube, in radii of the ball that all images show whole
+    ignored: Share = 0.04  # agreement in space below which black is ignored; black rectangles at random places have at
+    # most 0.04, and masks of objects that the image cuts off have 0.09 to 0.23
     silhouettes: Share = 0.06  # agreement in space above which masks are silhouettes
-    inverted: Share = 0.1  # agreement in space above which inverted silhouettes are looked for; they have 0.11 to 0.19
-    same_pixels: Share = 0.6  # agreement in the image above which masks hide a strip of it or the camera's own stand
-    strip_border: Share = 0.6  # share of white border pixels from which that is looked for
+    inverted: Share = 0.1  # agreement in space above which masks count as inverted silhouettes, which have 0.11 to 0.19
+    same_pixels: Share = 0.6  # agreement in the image above which masks hide a strip of the image or the camera's own
+    # stand
+    strip_border: Share = 0.6  # share of white border pixels from which such a strip is looked for
     white_border: Share = 0.85  # share of white border pixels from which silhouettes are doubtful
-    max_ball: Factor = 2.4  # radii of the ball that the images show whole; the object's ball may be this large
+    max_ball: Factor = 2.4  # largest radius of the object's ball, in radii of the ball that all images show whole
 
 
 @dataclass(frozen=True)
 class OddMaskOptions(Options):
     """The search for masks that contradict the others."""
 
-    min_views: Pair = 6  # with fewer, correct masks also disagree much about the object's place
-    places: Pair = 32  # along each side of the cube of places that masks are compared on
-    dissent: Share = 0.1  # of the views, or one view, that may have a place of the object outside its mask
-    left_out: Share = 0.5  # share of the object from which a mask that leaves it out contradicts the others
-    needed: Share = 0.1  # share of what a mask leaves out that the other masks need, below which it is no mistake
-    max_odd: Share = 0.25  # share of the views above which it is unknown which masks are right
+    min_views: Pair = 6  # least number of views; with fewer, correct masks also disagree about the object's place
+    places: Pair = 32  # sample points along each side of the cube in which masks are compared
+    dissent: Share = 0.1  # share of the views whose masks may exclude a point of the object; one view always may
+    left_out: Share = 0.5  # share of the object that a mask must leave out to contradict the others
+    needed: Share = 0.1  # least share of what a mask leaves out that the other masks need; below it, the mask is right
+    max_odd: Share = 0.25  # largest share of contradictory masks; above it, it is unknown which masks are right
 
 
 @dataclass(frozen=True)
 class NormalisationOptions(Options):
     """The search for the ball that holds the object."""
 
-    resolution: Annotated[int, Range(8)] = 64  # voxels along a side of the grid that the visual hull is carved from
-    contour_side: Annotated[int, Range(16)] = 200  # pixels; longer side of the silhouettes
-    min_points: Count = 50  # points of the capture, with fewer of which they do not place the ball
+    resolution: Annotated[int, Range(8)] = 64  # voxels along a side of the grid from which the visual hull is carved
+    contour_side: Annotated[int, Range(16)] = 200  # pixels; longer side of the reduced silhouettes
+    min_points: Count = 50  # least number of points of the capture that determine the ball
 
 
 @dataclass(frozen=True)
@@ -75,10 +78,12 @@ class UndistortionOptions(Options):
     """The pinhole image that an undistorted photograph fills."""
 
     half_angle: Annotated[float, Range(10, 80)] = 60.0  # degrees from the optical axis to which wide lenses are
-    # cropped; 60 hold 90% of an action camera's photograph, 70 hold 99% in an image of almost twice the pixels
-    rectangle: Share = 0.97  # share of the valid pixels from which a rectangle of them is kept instead of a mask
-    max_growth: Factor = 2.0  # of the image along each side; a lens beyond it counts as a wide fisheye
-    sketch: Annotated[int, Range(16)] = 128  # columns and rows of the coarse grid that finds the valid part
+    # cropped; 60 hold 90% of an action camera's photograph, 70 hold 99% in an image with almost twice the pixels
+    rectangle: Share = 0.97  # share of the valid pixels that the largest valid rectangle must hold to be kept in place
+    # of a mask
+    max_growth: Factor = 2.0  # largest growth of the image along each side; a lens beyond it counts as a wide fisheye
+    sketch: Annotated[int, Range(16)] = 128  # columns and rows of the coarse grid that finds the valid part of the
+    # image
 
 
 @dataclass(frozen=True)
@@ -90,21 +95,22 @@ class SharpnessOptions(Options):
     """
 
     side: Annotated[int, Range(16)] = 800  # pixels; longer side at which sharpness is measured
-    min_side: Count = 48  # pixels of the shorter side below which images are too small to tell
-    sigma: Positive = 1.5  # pixels; of the Gaussian that blurs a photograph for comparison with itself
-    max_loss: NotNegative = 0.55  # powers of two of sharpness that a photograph may lack
-    nearest: WholeNumber = 6  # neighbours by the camera's place
-    adjacent: WholeNumber = 8  # neighbours by name, before and after each
-    same_side: Angle = 75.0  # degrees between the directions of two cameras, beyond which they show different sides of
-    # an object, of which one may be plainer; neighbours by name do not count then
+    min_side: Count = 48  # pixels; images whose shorter side is smaller are too small to judge
+    sigma: Positive = 1.5  # pixels; standard deviation of the Gaussian that blurs a photograph for comparison with
+    # itself
+    max_loss: NotNegative = 0.55  # powers of two of sharpness that a photograph may lack against its neighbours
+    nearest: WholeNumber = 6  # number of neighbours by the cameras' places
+    adjacent: WholeNumber = 8  # number of neighbours by name, before and after each photograph
+    same_side: Angle = 75.0  # degrees between the directions of two cameras; beyond it they show different sides of an
+    # object, of which one may be plainer, so neighbours by name do not count
 
 
 @dataclass(frozen=True)
 class BrightnessOptions(Options):
     """The comparison of a photograph's mean light with that of its neighbours."""
 
-    side: Annotated[int, Range(16)] = 256  # pixels; longer photographs are subsampled
-    neighbours: Count = 4  # photographs from the nearest directions
+    side: Annotated[int, Range(16)] = 256  # pixels; longer side to which photographs are subsampled
+    neighbours: Count = 4  # number of neighbours of a photograph, from the nearest directions
 
 
 @dataclass(frozen=True)
@@ -112,10 +118,11 @@ class UpOptions(Options):
     """The search for the direction that points up, by the axes of the cameras."""
 
     near_axis: Annotated[float, Range(0, 45)] = 20.0  # degrees within which the direction snaps to an axis
-    min_mean: Share = 0.1  # length of the mean of the cameras' up vectors below which it is unreliable
-    lying: Share = 0.9  # length of the mean of their right vectors above which all cameras lie on their side
-    level: Share = 0.14  # root mean square of the sines by which level cameras lean to a side, of 8 degrees
-    around: Share = 0.1  # mean square of the cameras' right vectors across their main direction, from which the
+    min_mean: Share = 0.1  # least length of the mean of the cameras' up vectors; a shorter mean is unreliable
+    lying: Share = 0.9  # length of the mean of the cameras' right vectors above which all cameras lie on their side
+    level: Share = 0.14  # largest root mean square of the sines of the cameras' sideways tilts at which they count as
+    # level; 0.14 is 8 degrees
+    around: Share = 0.1  # mean square of the cameras' right vectors across their main direction, above which the
     # cameras look from all around
 
 
@@ -123,8 +130,8 @@ class UpOptions(Options):
 class ViewCountOptions(Options):
     """The warning of too few photographs."""
 
-    min_views: Count = 8  # training photographs, with fewer of which the surface is rough at best
-    max_angle: Angle = 35.0  # degrees between two views at which a surface still looks alike in both
+    min_views: Count = 8  # least number of training photographs; with fewer, the surface is rough at best
+    max_angle: Angle = 35.0  # degrees; largest angle between two views at which a surface still looks alike in both
 
 
 @dataclass(frozen=True)
@@ -133,18 +140,21 @@ class FrameOptions(Options):
 
     motion_side: Annotated[int, Range(32)] = 320  # pixels; longer side at which motion is measured
     sharpness_side: Annotated[int, Range(32)] = 960  # pixels; longer side at which sharpness is measured
-    sigma: Positive = 1.5  # pixels; detail finer than this is what blur takes away
-    features: Count = 200  # that are followed from frame to frame
-    min_left: Share = 0.6  # of the features; with fewer left, they are found anew
-    min_features: Count = 8  # with fewer, there is no motion to measure
-    stretch: Positive = 0.01  # motion after which features are found anew
-    quantile: Share = 0.75  # of the features' motions that counts; those on a still background may be many
-    step: Positive = 0.04  # motion between two chosen frames
-    min_step: Positive = 0.01  # the same, in videos that show little
-    wanted: Count = 40  # frames below which the steps get smaller
-    apart: Share = 0.4  # of a step, the least motion between two chosen frames
-    quality: Annotated[int, Range(1, 100)] = 97  # of JPEG
-    knee: Annotated[float, Range(0, 0.99)] = 0.8  # of diffuse white; brighter light of HDR videos is compressed
+    sigma: Positive = 1.5  # pixels; standard deviation of the Gaussian that separates the detail that blur removes
+    features: Count = 200  # number of features that are followed from frame to frame
+    min_left: Share = 0.6  # least share of the features that remain; with fewer, new features are searched for
+    min_features: Count = 8  # least number of features from which motion can be measured
+    stretch: Positive = 0.01  # motion, in diagonals of the image, after which new features are searched for
+    quantile: Share = 0.75  # quantile of the features' motions that counts as the motion, because many may lie on a
+    # still background
+    step: Positive = 0.04  # motion, in diagonals of the image, between two chosen frames
+    min_step: Positive = 0.01  # least motion, in diagonals of the image, between two chosen frames of a video with
+    # little motion
+    wanted: Count = 40  # number of frames; if step gives fewer, smaller steps are used
+    apart: Share = 0.4  # least motion between two chosen frames, as a share of the step
+    quality: Annotated[int, Range(1, 100)] = 97  # JPEG quality of the written frames
+    knee: Annotated[float, Range(0, 0.99)] = 0.8  # share of diffuse white above which the brighter light of HDR videos
+    # is compressed
 
 
 @dataclass(frozen=True)
@@ -153,34 +163,37 @@ class ImagePairOptions(Options):
 
     exhaustive: Count = 150  # photographs up to which all pairs are compared
     exhaustive_frames: Count = 50  # frames of videos up to which all pairs are compared
-    similar: WholeNumber = 30  # photographs that look most like one, which it is compared with
-    similar_frames: WholeNumber = 10  # the same for frames of videos
-    following: Count = 10  # photographs that follow one by name, which it is compared with
-    words: Pair = 1024  # of the vocabulary that tells how alike photographs look
-    sample: Count = 100_000  # features from which the vocabulary is made
-    ordered: Share = 0.8  # share of the photographs whose number follows that of the one before, from which names
-    # count as ordered
+    similar: WholeNumber = 30  # number of the most similar photographs that each photograph is compared with
+    similar_frames: WholeNumber = 10  # number of the most similar frames that each frame of a video is compared with
+    following: Count = 10  # number of photographs, next by name, that each photograph is compared with
+    words: Pair = 1024  # words of the visual vocabulary that measures how alike photographs look
+    sample: Count = 100_000  # features from which that vocabulary is made
+    ordered: Share = 0.8  # least share of the photographs whose number follows the previous one; above it, names count
+    # as ordered
 
 
 @dataclass(frozen=True)
 class ZoomCheckOptions(Options):
     """The warning of photographs that do not fit the lens that they share with others."""
 
-    max_change: NotNegative = 0.03  # relative difference of a photograph's own focal length; fixed lenses stay within
-    # 0.02
-    min_points: Count = 30  # of a photograph, with fewer of which its focal length is unknown
-    min_share: Share = 0.05  # of the photographs; blur or moving things explain fewer
-    min_photographs: Count = 2  # the same, as a number
+    max_change: NotNegative = 0.03  # largest relative difference of a photograph's own focal length from the shared
+    # one; fixed lenses stay within 0.02
+    min_points: Count = 30  # least number of points of a photograph that determine its focal length
+    min_share: Share = 0.05  # least share of photographs with another focal length that gives a warning; blur or moving
+    # things explain fewer
+    min_photographs: Count = 2  # least number of photographs with another focal length that gives a warning
 
 
 @dataclass(frozen=True)
 class CameraSearchOptions(Options):
     """The search for cameras by structure from motion with COLMAP."""
 
-    feature_side: Annotated[int, Range(64)] = 2400  # pixels; larger photographs are reduced before features are found
-    peak: Positive = 0.0033  # contrast of a feature, half of COLMAP's default, so that plain objects have features too
-    focal_guess: Positive = 1.2  # focal length in longer sides of the image, where nothing is known of it
-    max_models: Count = 10  # separate models of which the largest is taken
+    feature_side: Annotated[int, Range(64)] = 2400  # pixels; longer side to which photographs are reduced for the
+    # search for features
+    peak: Positive = 0.0033  # least contrast of a feature; it is half of COLMAP's default, so that plain objects have
+    # features too
+    focal_guess: Positive = 1.2  # assumed focal length of an unknown lens, in longer sides of the image
+    max_models: Count = 10  # largest number of separate models; the largest model is taken
     pairs: ImagePairOptions = field(default_factory=ImagePairOptions)
     zoom: ZoomCheckOptions = field(default_factory=ZoomCheckOptions)
 
@@ -189,7 +202,7 @@ class CameraSearchOptions(Options):
 class DataOptions(Options):
     """The reading of a capture."""
 
-    mask_dissent: Share = 0.06  # share of the masks of a found object that may exclude a point of it
+    mask_dissent: Share = 0.06  # share of a found object's masks that may exclude a point of the object
     backdrop: BackdropOptions = field(default_factory=BackdropOptions)
     mask_use: MaskUseOptions = field(default_factory=MaskUseOptions)
     odd_masks: OddMaskOptions = field(default_factory=OddMaskOptions)

@@ -15,29 +15,32 @@ from mgsr.config.options import Angle, Count, NotNegative, Options, Positive, Ra
 class FeatureOptions(Options):
     """The local features of photographs, and which photographs look alike."""
 
-    side: Annotated[int, Range(16)] = 512  # pixels; larger side of the image in which features are found
+    side: Annotated[int, Range(16)] = 512  # pixels; longer side of the reduced image in which features are found
     count: Annotated[int, Range(2)] = 800  # most features of a photograph, the strongest first
-    edge: WholeNumber = 4  # pixels from a silhouette or an invalid pixel, within which a feature depends on the
-    # background
-    words: Annotated[int, Range(2)] = 32  # of the vocabulary that describes whole photographs
-    sample: Count = 6000  # features from which the vocabulary is made
-    ratio: Share = 0.8  # largest ratio of the distances of the best and the second best match. Source: Lowe 2004
+    edge: WholeNumber = 4  # pixels from a silhouette or an invalid pixel; nearer features are dropped, because they
+    # depend on the background
+    words: Annotated[int, Range(2)] = 32  # words of the visual vocabulary that describes whole photographs
+    sample: Count = 6000  # features from which that vocabulary is made
+    ratio: Share = 0.8  # largest ratio of the distances of the best and the second best match (Lowe 2004)
     around: Positive = 1.5  # pixels; standard deviation of the Gaussian window in which a feature's light is measured
-    clipped: Annotated[int, Range(0, 255)] = 250  # least value of a pixel whose light is unknown, as it may be clipped
-    black: Annotated[int, Range(0, 255)] = 3  # largest value of a pixel that is too dark to tell its light
-    lost: Share = 0.05  # share of such pixels in the window above which a feature's light is unknown
+    clipped: Annotated[int, Range(0, 255)] = 250  # least pixel value that may be clipped, so that its light counts as
+    # unknown
+    black: Annotated[int, Range(0, 255)] = 3  # largest pixel value that is too dark to measure its light
+    lost: Share = 0.05  # share of clipped or black pixels in the window above which a feature's light is unknown
 
 
 @dataclass(frozen=True)
 class PairOptions(Options):
     """The comparison of pairs of photographs with their cameras."""
 
-    nearest: WholeNumber = 4  # photographs that each is compared with, the nearest by camera
-    alike: WholeNumber = 5  # the same, those that look most alike, wherever they are
-    inlier: Positive = 1.5  # pixels from the epipolar line of the pair's own geometry
-    min_matches: Count = 24  # in one geometry, below which a pair is no evidence; by chance there are about 10
-    explained: Share = 0.6  # share of the matches on the cameras' epipolar lines that needs no other explanation
-    off: Positive = 4.0  # pixels from the cameras' epipolar line beyond which a match contradicts them
+    nearest: WholeNumber = 4  # number of photographs with the nearest cameras that each photograph is compared with
+    alike: WholeNumber = 5  # number of the most similar photographs, wherever their cameras are, that each photograph
+    # is compared with
+    inlier: Positive = 1.5  # pixels; largest distance of a match from the epipolar line of the pair's own geometry
+    min_matches: Count = 24  # least number of matches of one geometry that are evidence; about 10 arise by chance
+    explained: Share = 0.6  # share of the matches on the cameras' epipolar lines above which no other geometry is
+    # searched for
+    off: Positive = 4.0  # pixels; distance from the cameras' epipolar line beyond which a match contradicts the cameras
 
 
 @dataclass(frozen=True)
@@ -48,74 +51,84 @@ class VerdictOptions(Options):
     """
 
     agrees: Positive = 1.5  # pixels; median residual below which a pair agrees with its cameras
-    agrees_usual: NotNegative = 3.0  # the same, times the usual residual
+    agrees_usual: NotNegative = 3.0  # multiple of the usual residual below which a pair agrees with its cameras
     contradicts: Positive = 5.0  # pixels; median residual above which a pair contradicts its cameras
-    contradicts_usual: NotNegative = 8.0  # the same, times the usual residual
-    meets: Positive = 2.0  # pixels by which the rays of three photographs may miss each other
-    meets_usual: NotNegative = 4.0  # the same, times the usual residual
-    max_usual: NotNegative = 4.0  # pixels; largest usual residual that counts
-    min_shared: Count = 8  # points of three photographs, with fewer of which they are no evidence
+    contradicts_usual: NotNegative = 8.0  # multiple of the usual residual above which a pair contradicts its cameras
+    meets: Positive = 2.0  # pixels; largest distance at which the rays of three photographs still meet
+    meets_usual: NotNegative = 4.0  # multiple of the usual residual up to which the rays of three photographs still
+    # meet
+    max_usual: NotNegative = 4.0  # pixels; upper limit of the usual residual in these multiples
+    min_shared: Count = 8  # least number of points that three photographs must share to be evidence
 
 
 @dataclass(frozen=True)
 class PoseCheckOptions(Options):
     """The search for poses that contradict the photographs."""
 
-    cluster: Annotated[int, Range(2)] = 3  # photographs of a cluster that has a copy of the structure to itself
-    min_contradictions: Count = 2  # pairs that must contradict a photograph or a cluster
-    accused: Share = 0.5  # share of a cluster that must be in such pairs; a part that repeats elsewhere puts few there
-    majority: Share = 0.5  # share of the decided photographs that the largest group must have to accuse others
+    cluster: Annotated[int, Range(2)] = 3  # least number of photographs of a cluster that sees its own copy of the
+    # structure
+    min_contradictions: Count = 2  # least number of pairs that contradict a photograph or a cluster with wrong poses
+    accused: Share = 0.5  # share of a cluster that must be in contradictory pairs; a part that repeats elsewhere
+    # involves few photographs
+    majority: Share = 0.5  # least share of the decided photographs in the largest group; with less, no photograph is
+    # called contradictory
     many: Share = 0.1  # share of the photographs with contradictory poses above which the finding is an error
     less_exact: Positive = 0.7  # pixels; residual of a photograph's better pairs above which it fits less exactly
-    less_exact_usual: NotNegative = 4.0  # the same, times the usual residual
-    less_exact_pairs: Annotated[int, Range(2)] = 3  # pairs of a photograph, with fewer of which it is not judged
+    less_exact_usual: NotNegative = 4.0  # multiple of the usual residual above which a photograph's better pairs fit
+    # less exactly
+    less_exact_pairs: Annotated[int, Range(2)] = 3  # least number of pairs of a photograph that is judged
     inaccurate: NotNegative = 1.5  # pixels; usual residual above which poses are called inaccurate
-    repeated: NotNegative = 0.15  # pairs that contradict, in proportion to those that agree, inside one group
-    connected: Share = 0.8  # share of the photographs with many features that one group should have
-    moving: Share = 0.15  # share of the matches that follow another motion, in the mean of the pairs
+    repeated: NotNegative = 0.15  # contradictory pairs inside one group, per pair that agrees, above which a finding
+    # says so
+    connected: Share = 0.8  # least share of the photographs with many features that one group should contain
+    moving: Share = 0.15  # mean share of a pair's matches that follow another motion, above which a finding says so
 
 
 @dataclass(frozen=True)
 class CoverageOptions(Options):
     """The check of the cameras' places around the object."""
 
-    seen: Angle = 50.0  # degrees between a side of the object and a camera, beyond which the view is grazing at best
+    seen: Angle = 50.0  # degrees between a side of the object and a camera; beyond it, the camera sees the side at a
+    # grazing angle at best
     underside: Share = 0.35  # sine of the angle below the horizon beyond which a side belongs to the underside
-    min_gap: Share = 0.03  # share of the sphere, without the underside
-    directions: Count = 1500  # in which sides are tested
-    max_places: Count = 6  # for further photographs that a finding names
-    error_angle: Angle = 4.0  # degrees between the two cameras that stand farthest apart, below which it is an error
-    small_angle: Angle = 12.0  # the same, below which it is a warning
+    min_gap: Share = 0.03  # least share of the sphere, without the underside, of a gap that is reported
+    directions: Count = 1500  # number of directions in which sides are tested
+    max_places: Count = 6  # most places for further photographs that a finding names
+    error_angle: Angle = 4.0  # degrees between the two cameras that stand farthest apart, below which the finding is an
+    # error
+    small_angle: Angle = 12.0  # degrees between the two cameras that stand farthest apart, below which there is a
+    # warning
 
 
 @dataclass(frozen=True)
 class PhotoCheckOptions(Options):
     """The check of single photographs, their masks and their lenses."""
 
-    jumps: NotNegative = 0.05  # spread of log light above chance
-    shared_places: Annotated[int, Range(4)] = 16  # matches of a photograph, with fewer of which its light is unknown
-    told: Share = 0.5  # share of the photographs whose light must be known
-    common: Share = 0.6  # correlation of the light of both halves of the photographs; gloss changes one half alone
-    outlier: Annotated[float, Range(1)] = 2.0  # factor against the neighbours' light beyond which highlights or shadows
-    # are lost
-    small_share: Share = 0.2  # diameter of a small object, as a share of the image's shorter side
-    small_pixels: NotNegative = 100.0  # the same in pixels
+    jumps: NotNegative = 0.05  # spread of the photographs' log light, beyond chance, above which exposures differ
+    shared_places: Annotated[int, Range(4)] = 16  # least number of matches from which a photograph's light is known
+    told: Share = 0.5  # least share of the photographs whose light must be known
+    common: Share = 0.6  # least correlation of the light of both halves of the photographs; gloss changes one half
+    # alone
+    outlier: Annotated[float, Range(1)] = 2.0  # factor between a photograph's light and its neighbours', beyond which
+    # highlights or shadows are lost
+    small_share: Share = 0.2  # diameter, as a share of the image's shorter side, below which an object is small
+    small_pixels: NotNegative = 100.0  # diameter, in pixels, below which an object is small
     cut_off: Share = 0.5  # share of the photographs that cut the object off, above which a finding says so
-    left_out: Share = 0.3  # share of the object, as the other masks have it, that a mask may leave out; few views give
+    left_out: Share = 0.3  # share of the object, as the other masks show it, that a mask may leave out; few views give
     # up to 0.24
-    contour_side: Annotated[int, Range(16)] = 200  # pixels at which masks are compared
+    contour_side: Annotated[int, Range(16)] = 200  # pixels; longer side of the reduced masks that are compared
     focal: NotNegative = 0.1  # relative difference of focal lengths above which lenses differ
-    wide: Angle = 100.0  # degrees across the image above which a lens is wide
-    small_side: NotNegative = 480.0  # pixels of the longer side below which images are small
+    wide: Angle = 100.0  # degrees across the image above which a lens counts as wide
+    small_side: NotNegative = 480.0  # pixels; longer side below which images count as small
 
 
 @dataclass(frozen=True)
 class InspectionConfig(Options):
     """The check before training."""
 
-    photographs: Annotated[int, Range(2)] = 300  # whose features are compared, spread over all
-    track: Annotated[int, Range(2)] = 3  # least number of photographs of a point
-    min_points: Count = 50  # with fewer, their median does not tell where the object is
+    photographs: Annotated[int, Range(2)] = 300  # most photographs whose features are compared, spread evenly over all
+    track: Annotated[int, Range(2)] = 3  # least number of photographs that must show a point
+    min_points: Count = 50  # least number of points whose median shows where the object is
     features: FeatureOptions = field(default_factory=FeatureOptions)
     pairs: PairOptions = field(default_factory=PairOptions)
     verdicts: VerdictOptions = field(default_factory=VerdictOptions)

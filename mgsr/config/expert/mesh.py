@@ -17,22 +17,22 @@ from mgsr.config.options import Count, NotNegative, Options, Positive, Range, Sh
 class PullIntoHullOptions(Options):
     """The pull of vertices into the silhouettes."""
 
-    rounds: WholeNumber = 3  # of moving vertices along their normals
+    rounds: WholeNumber = 3  # rounds of moving vertices along their normals
 
 
 @dataclass(frozen=True)
 class RemoveContradictedOptions(Options):
     """The removal of patches with a large photometric residual under a flash."""
 
-    share: Share = 0.5  # of the largest residual, above which a face belongs to a patch
-    min_pixels: NotNegative = 10.0  # that a patch covers at least
+    share: Share = 0.5  # share of mesh.photometric_residual above which a face belongs to a patch
+    min_pixels: NotNegative = 10.0  # pixels; least area of a patch that is removed
 
 
 @dataclass(frozen=True)
 class CutAtGroundOptions(Options):
     """The cut at the plane on which a found object stands."""
 
-    sunk: NotNegative = 1.0  # footprints below the plane that are kept
+    sunk: NotNegative = 1.0  # footprints; depth below the plane up to which the surface is kept
 
 
 @dataclass(frozen=True)
@@ -50,31 +50,32 @@ class MeshStepOptions(Options):
 class SurfaceChoiceOptions(Options):
     """The choice between the trained surface and the first one."""
 
-    mirror_share: NotNegative = 0.95  # the first surface is better if its environment residual is at most this share of
-    # the trained one's
-    tears: WholeNumber = 40  # boundary loops plus twice the handles, in excess of the first surface's, above which the
-    # trained surface counts as torn; torn ones have hundreds
-    min_gain: NotNegative = 0.02  # photo-consistency by which the first surface must exceed the trained one
+    mirror_share: NotNegative = 0.95  # largest environment residual of the first surface, as a share of the trained
+    # one's, at which it is better
+    tears: WholeNumber = 40  # number of boundary loops plus twice the handles, beyond the first surface's, above which
+    # the trained surface counts as torn; torn surfaces have hundreds
+    min_gain: NotNegative = 0.02  # gain in photo-consistency that the first surface needs over the trained one
 
 
 @dataclass(frozen=True)
 class ViewFitOptions(Options):
     """The registration of the first surface to the rendered views, where the trained surface is torn."""
 
-    prior_weight: Positive = 0.02  # of the position of a vertex that no view confirms; 1 for others
-    confidence: Share = 0.1  # in the normal of a vertex without a similar normal in the views; 1 for others
-    min_cosine: Share = 0.3  # least cosine between a vertex's normal and a similar one of the views' surface
+    prior_weight: Positive = 0.02  # weight of the position of a vertex that no view confirms; the weight of others is 1
+    confidence: Share = 0.1  # confidence in the normal of a vertex without a similar normal in the views; that of
+    # others is 1
+    min_cosine: Share = 0.3  # least cosine between a vertex's normal and a similar normal of the views' surface
 
 
 @dataclass(frozen=True)
 class ColorOptions(Options):
     """The colours of vertices and texels, blended from the rendered views."""
 
-    deviation: Positive = 0.1  # sRGB 0..1; a colour this far from the mean counts half
-    rounds: WholeNumber = 2  # of reweighting
-    tolerance: Positive = 3.0  # footprints; the depth tolerance if the views' consistency is not checked
-    occlusion_edge: Positive = 10.0  # footprints by which the depths around a pixel of a texture may differ; more is an
-    # occlusion edge
+    deviation: Positive = 0.1  # sRGB 0..1; difference from the mean at which a colour counts half
+    rounds: WholeNumber = 2  # rounds of iteratively reweighted means
+    tolerance: Positive = 3.0  # footprints; tolerance of depths if mesh.consistency is off
+    occlusion_edge: Positive = 10.0  # footprints; difference of the depths around a pixel above which it lies at an
+    # occlusion edge and is left out
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class UnwrapOptions(Options):
 
     padding: WholeNumber = 4  # texels between two charts, so that neither bilinear sampling nor mipmaps mix them
     min_chart: Positive = 4.0  # texels along a side of the smallest chart
-    max_side: Count = 8192  # texels along a side; larger pictures are too much for many viewers
+    max_side: Count = 8192  # texels along a side of the atlas; larger pictures are too large for many viewers
     filled: Annotated[float, Range(0, 1, open=True)] = 0.6  # usual share of an atlas that charts fill
     charts: ChartOptions = field(default_factory=ChartOptions)
 
@@ -93,11 +94,12 @@ class TextureOptions(Options):
     """The textured model: what is baked from the full surface into its pictures."""
 
     edge: Positive = 2.0  # pixels; edge length of the mesh on which occlusion and shading are computed
-    max_faces: Count = 50_000  # of that mesh
-    same_side: Share = 0.2  # cosine between the normals of two surfaces below which they are different sides of a sheet
-    min_z: Positive = 0.05  # least z of a baked normal; a renderer shows black where it looks away from the surface
-    brightest: Share = 0.9  # albedo that no surface exceeds; less light than that is not believed
-    brighter: Share = 0.01  # share of the vertices that may exceed it
+    max_faces: Count = 50_000  # most faces of that mesh
+    same_side: Share = 0.2  # cosine between the normals of two surfaces; with a lower one, they are different sides of
+    # a sheet
+    min_z: Positive = 0.05  # least z of a baked normal, because renderers show black where it points into the surface
+    brightest: Share = 0.9  # upper limit of albedo; the light is assumed to be bright enough for it
+    brighter: Share = 0.01  # share of the vertices whose albedo may exceed that limit
     unwrap: UnwrapOptions = field(default_factory=UnwrapOptions)
     gloss: GlossOptions = field(default_factory=GlossOptions)
     static_light: StaticLightOptions = field(default_factory=StaticLightOptions)
@@ -107,10 +109,10 @@ class TextureOptions(Options):
 class MeshOptions(Options):
     """The mesh's extraction and finishing."""
 
-    mask_side: Annotated[int, Range(16)] = 800  # pixels; longer side of the reduced masks, whose contours are known to
-    # a fraction of a pixel
+    mask_side: Annotated[int, Range(16)] = 800  # pixels; longer side of the reduced masks, whose contours keep
+    # sub-pixel accuracy
     poisson_margin: Annotated[float, Range(1)] = 1.1  # side of the octree's cube, relative to the points' bounding box
-    confirm_reach: Positive = 2.0  # times the tolerance; the distance from a view's surface up to which the view
+    confirm_reach: Positive = 2.0  # factor on the tolerance; distance from a view's surface up to which the view
     # confirms a point, wide enough for the noise of depths
     choice: SurfaceChoiceOptions = field(default_factory=SurfaceChoiceOptions)
     view_fit: ViewFitOptions = field(default_factory=ViewFitOptions)

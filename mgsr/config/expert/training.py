@@ -15,8 +15,10 @@ class ErrorGrowthOptions(Options):
     """Error-driven growth of the 3D branch. Source: Baranowski and others 2025 (ConeGS)."""
 
     solid: Share = 0.3  # alpha from which a rendered depth counts as a surface
-    hidden: Positive = 3.0  # pixel sizes that a point may lie off the rendered surface of a view that sees it
-    half_window: WholeNumber = 1  # pixels on each side of a pixel that it is averaged with, against sensor noise
+    hidden: Positive = 3.0  # distance, in sizes of a pixel, that a point may lie off the rendered surface of a view
+    # that sees it
+    half_window: WholeNumber = 1  # pixels on each side of a pixel over which the error is averaged, against sensor
+    # noise
 
     @property
     def window(self) -> int:
@@ -37,21 +39,22 @@ class ProxyModelOptions(Options):
     """A small 3D branch that is trained on small photographs before the real training to learn from it."""
 
     side: Annotated[int, Range(8)] = 128  # pixels; longer side of the photographs
-    points: Count = 4000  # Gaussians
-    rates: Share = 0.2  # position between a warm-up's first and last learning rates, constant
+    points: Count = 4000  # number of Gaussians
+    rates: Share = 0.2  # position of the constant learning rates between a warm-up's first and last ones; 0 is the
+    # first
 
 
 @dataclass(frozen=True)
 class OutlineOptions(Options):
     """Masks of photographs before a plain backdrop, learned by two proxy models."""
 
-    degree: Degree = 2  # of the colours' harmonics
-    rough_iterations: Count = 800  # of the first branch
-    iterations: Count = 1600  # of the second branch
+    degree: Degree = 2  # degree of the colours' harmonics
+    rough_iterations: Count = 800  # iterations of the first branch
+    iterations: Count = 1600  # iterations of the second branch
     rough_side: Annotated[int, Range(8)] = 64  # pixels; longer side of the first branch's photographs
-    opacity_cost: NotNegative = 0.4  # of the first branch; half of it leaves fog around shiny objects, twice as much
-    # erodes thin parts
-    voxels: Annotated[int, Range(8)] = 64  # along a side of the rough hull's grid
+    opacity_cost: NotNegative = 0.4  # weight of the first branch's loss on opacity; half of it leaves fog around shiny
+    # objects, and twice as much erodes thin parts
+    voxels: Annotated[int, Range(8)] = 64  # voxels along a side of the rough hull's grid
     proxy: ProxyModelOptions = field(default_factory=ProxyModelOptions)
 
 
@@ -59,17 +62,17 @@ class OutlineOptions(Options):
 class ExposureOptions(Options):
     """The estimation of the photographs' exposures by proxy models."""
 
-    degree: Degree = 2  # of the harmonics of the candidate that is not matte; the matte one has none
-    iterations: Count = 150  # of each training
-    rounds: Count = 3  # that reuse the factors found so far
-    held_out: Annotated[int, Range(2)] = 4  # one view in this many is held out from a training
-    min_views: Count = 12  # with fewer, exposures are not estimated
+    degree: Degree = 2  # degree of the harmonics of the glossy candidate; the matte candidate has degree 0
+    iterations: Count = 150  # iterations of each training
+    rounds: Count = 3  # rounds of training; each uses the factors found so far
+    held_out: Annotated[int, Range(2)] = 4  # one view in this many is held out of a training
+    min_views: Count = 12  # least number of views; with fewer, exposures are not estimated
     min_jump: NotNegative = 0.07  # brightness change between neighbours below which exposures count as equal
     min_gain: NotNegative = 0.5  # dB that factors must gain on the halves of photographs to which they were not fitted
-    faint: Share = 0.3  # of the median light; fainter pixels are ignored
-    min_pixels: Count = 20  # to fit a factor to
-    clipped: Annotated[int, Range(1, 256)] = 250  # of 255; brighter pixels hide how bright they were
-    white: Positive = 0.9  # rendered light times factor above which the photograph may be clipped
+    faint: Share = 0.3  # share of the median light; fainter pixels are ignored
+    min_pixels: Count = 20  # least number of pixels to which a factor is fitted
+    clipped: Annotated[int, Range(1, 256)] = 250  # least pixel value, of 255, that counts as clipped
+    white: Positive = 0.9  # largest rendered light times factor at which the photograph is not clipped
     proxy: ProxyModelOptions = field(default_factory=ProxyModelOptions)
 
 
@@ -77,8 +80,9 @@ class ExposureOptions(Options):
 class BackgroundOptions(Options):
     """The surfels of what lies around a found object."""
 
-    beside: Share = 0.005  # of the photograph's longer side; margin of the masks that training ignores
-    inside: Share = 0.9  # of the views; a starting point inside the masks of more views is the object's
+    beside: Share = 0.005  # width of the margin around the masks that training ignores, as a share of the photograph's
+    # longer side
+    inside: Share = 0.9  # share of the views; a starting point inside the masks of more views belongs to the object
 
 
 @dataclass(frozen=True)

@@ -22,11 +22,10 @@ EVERY = 0.5
 PREVIEW_SIDE = 640
 CURVE_ROWS = 240
 
-# Seconds that the steps after training take: so many, and a share of training's (measured: draft and standard presets,
-# 48 views of 256 x 256 pixels, on two cores: 18 to 24 s after 36 s, 29 to 33 s after 180 s).
+# The estimated seconds of the steps after training: a constant, and a share of training's seconds.
 AFTER_SECONDS = 15.0
 AFTER_SHARE = 0.1
-# Progress before training, of which nobody knows yet how long it will take.
+# The progress at which each step before training begins. Its values are rough, because the duration is unknown then.
 BEFORE = {
     "unpack": 0.0,
     "load": 0.01,
@@ -39,10 +38,9 @@ BEFORE = {
     "plan": 0.05,
     "train": 0.05,
 }
-# Where the photographs have no cameras, the search for them takes this share of the progress, and all of BEFORE begins
-# after it (measured: preset standard, 56 photographs of 480 x 360 pixels).
+# The share of the progress for the search for cameras, if the photographs have none. The steps of BEFORE follow it.
 CAMERAS = 0.3
-# Shares of the time after training that have passed when a step begins.
+# The share of the time after training that has passed when each step begins.
 AFTER = {"export": 0.0, "mesh": 0.0, "evaluate": 0.5, "model": 0.7, "render": 0.92, "report": 0.96}
 
 
@@ -103,7 +101,7 @@ class Reporter:
         return self._after_search(begin), self._after_search(end)
 
     def _after_search(self, progress: float) -> float:
-        """Return the progress of a run of which `progress` would be that without a search for cameras."""
+        """Convert the progress without a search for cameras to that of this run, which may have one."""
         return CAMERAS + (1 - CAMERAS) * progress if self._searched else progress
 
     def _train(self, training: Progress) -> None:

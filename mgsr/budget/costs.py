@@ -1,8 +1,7 @@
 """Cost model of a run's steps, in seconds of a reference machine: two idle cores with AVX2 kernels.
 
-Fitted by hand to runs with 32 to 264 pixels a side, 8 to 62 views, and the presets draft and standard; a step of one
-scene takes up to half more or less than of another. The planner measures the speed of the actual machine relative to
-it.
+The numbers fit runs with 32 to 264 pixels a side, 8 to 62 views, and the presets draft and standard. The same step may
+take up to half more or less on another scene. The planner measures how the actual machine's speed compares.
 """
 
 from __future__ import annotations
@@ -19,25 +18,29 @@ from mgsr.mesh.steps.step import rendered_pixels, surface_cells
 
 USUAL_PIXELS = 256 * 256
 GROWN = 0.15  # Gaussians added by error-driven growth, per pixel of a view
-STEREO = 18.5  # a megapixel that stereo searches in all photographs together
-FILLED = 0.1  # a view, to continue depths over what has no contrast
-STEREO_POINTS = 0.034  # starting points, per pixel that stereo searches
-ROUNDS, FLASH_ROUNDS = 3, 10  # of refining the surface, that long
-MODEL = 2.0  # unwrapping and baking
-SEARCHED = 1.9  # a view, for the object's masks
-LEARNED = 12.0  # masks that are learned from small photographs
-FEATURE_PIXELS = 2400 * 1800  # of larger photographs, reduced copies are searched for features
-MOST_FEATURES = 8192  # in a photograph
+STEREO = 18.5  # seconds per megapixel that stereo searches, of all photographs together
+FILLED = 0.1  # seconds per view for filling depths in regions without contrast
+STEREO_POINTS = 0.034  # starting points per pixel that stereo searches
+ROUNDS, FLASH_ROUNDS = 3, 10  # rounds of refining the surface, without and with a flash
+MODEL = 2.0  # seconds of unwrapping and baking
+SEARCHED = 1.9  # seconds per view for finding the object's masks
+LEARNED = 12.0  # seconds for learning masks from small photographs
+FEATURE_PIXELS = 2400 * 1800  # photographs with more pixels are reduced before the search for features
+MOST_FEATURES = 8192  # features in a photograph
 
 
 @dataclass(frozen=True)
 class Facts:
-    """The factors of a scene's cost.
+    """The properties of a scene that determine its cost.
 
-    views, tests: its training and test views; pixels: of one view, in the mean; truth: whether the true surface lies
-    beside it; shiny: whether shading may refine its mesh; masked: whether there are masks; learned: whether masks are
-    learned where there are none; flash: whether the light is a flash's; searched: whether an object is looked for where
-    there are no masks.
+    views, tests: the numbers of training and test views.
+    pixels: the mean number of pixels of a view.
+    truth: whether the scene has a true surface to compare with.
+    shiny: whether shading may refine the mesh.
+    masked: whether there are masks.
+    learned: whether masks are learned, because there are none.
+    flash: whether a flash lights the scene.
+    searched: whether an object is looked for, because there are no masks.
     """
 
     views: int
@@ -52,7 +55,7 @@ class Facts:
 
     @property
     def size(self) -> float:
-        """Return the pixels of a view as a share of the usual."""
+        """Return the pixels of a view, relative to the reference size."""
         return self.pixels / USUAL_PIXELS
 
 
@@ -62,10 +65,10 @@ def load_cost(facts: Facts) -> float:
 
 
 def cameras_cost(photographs: int, pixels: float, frames: bool) -> float:
-    """Return the seconds that the search for the cameras of so many photographs takes.
+    """Return the seconds that the search for the photographs' cameras takes.
 
-    pixels: of a photograph, in the mean. frames: whether they are frames of a video; choosing these is not counted.
-    Measured on 56 photographs of 480 x 360 pixels.
+    photographs: their number. pixels: the mean number of pixels of a photograph. frames: whether they are frames of a
+    video; the choice of frames is not counted.
     """
     megapixels = min(pixels, FEATURE_PIXELS) / 1e6
     features = min(MOST_FEATURES, 6900 * megapixels) / 1190
@@ -73,14 +76,14 @@ def cameras_cost(photographs: int, pixels: float, frames: bool) -> float:
 
 
 def stereo_pixels(facts: Facts, most: int) -> float:
-    """Return the pixels that stereo of everything in view searches in all photographs; most: the setting's limit."""
+    """Return the pixels that the stereo of whole scenes searches in all photographs; most: the setting's limit."""
     return min(most, facts.pixels * min(facts.views, PHOTOGRAPHS))
 
 
 def start_cost(facts: Facts, most: int = SceneStereoOptions().max_pixels) -> float:
     """Return the seconds that finding the starting points takes, on the hull or by stereo.
 
-    most: the pixels that stereo of everything in view searches at most.
+    most: the most pixels that the stereo of whole scenes searches.
     """
     search = SEARCHED * facts.views if facts.searched else 0.0
     everything = STEREO * stereo_pixels(facts, most) / 1e6 + FILLED * min(facts.views, PHOTOGRAPHS)
@@ -104,7 +107,7 @@ def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float
 def usual_count(start: int, facts: Facts) -> int:
     """Return the usual final number of Gaussians of a branch that starts with `start` and grows by errors.
 
-    Scenes differ much: matte toys take 0.02 a pixel, lego 0.2.
+    Scenes differ much: matte toys need 0.02 Gaussians a pixel, and the scene lego needs 0.2.
     """
     return start + round(GROWN * facts.pixels)
 
@@ -135,7 +138,7 @@ def mesh_cost(facts: Facts, config: MeshConfig, refined: float) -> float:
 
 
 def round_cost(facts: Facts, config: MeshConfig) -> float:
-    """Return the seconds of one round of refinement, including preparation where it is needed."""
+    """Return the seconds of one round of refinement, including its preparation if it needs one."""
     return refinement_cost(facts, config) / (FLASH_ROUNDS if facts.flash else ROUNDS)
 
 

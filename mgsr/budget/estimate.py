@@ -9,18 +9,17 @@ from mgsr.budget.budget import reference_training
 from mgsr.budget.costs import Facts
 from mgsr.config import Config, starting_settings
 
-# Fitted to the runs of benchmarks/results/runs.csv on the CPU: MiB of the program with its libraries, of a million
-# pixels of photographs, of the surface's octree for each doubling beyond the preset draft's, and of 1,000 splats beyond
-# the preset standard's.
+# MiB on the CPU: of the program with its libraries, of a million pixels of photographs, of each doubling of the octree
+# beyond the preset draft's, and of 1,000 splats beyond the preset standard's. They fit benchmarks/results/runs.csv.
 _PROGRAM, _PHOTOGRAPHS, _SURFACE, _SPLATS = 880.0, 33.0, 550.0, 15.0
 _DRAFT_DEPTH, _USUAL_SPLATS = 7, 30_000
 
 
 @dataclass(frozen=True)
 class Speed:
-    """How many times longer than the reference machine this one takes.
+    """The time that this machine takes, as a multiple of the reference machine's.
 
-    training: for iterations, which may run on a card. rest: for all else.
+    training: for iterations of training, which may run on a card. rest: for all other work.
     """
 
     training: float
@@ -29,7 +28,7 @@ class Speed:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a run at a preset is expected to take. seconds: the whole run; steps: seconds by step."""
+    """The expected time and memory of a run at a preset. seconds: the whole run; steps: seconds by step."""
 
     preset: str
     seconds: float

@@ -1,8 +1,8 @@
-"""The line of settings on which the presets are points: draft at 0, standard at 1, high at 2.
+"""The line of settings, on which a place is a number: the preset draft is at 0, standard at 1, high at 2.
 
-Between two presets a number lies between theirs, in equal ratios; below draft it goes on in the same way.
-A setting that is not a number, or is 0 for none, comes from the nearest preset. A part that a preset lacks altogether
-begins just above that preset.
+Between two presets, numbers are interpolated geometrically. Below draft they are extrapolated in the same way. A
+setting that is not a number, or whose 0 means none, comes from the nearest preset. A step that a preset lacks begins
+just above that preset's place.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 from mgsr.config import PRESETS, Config, field_types, make_config
 
-JUST_ABOVE_DRAFT = 0.01  # where the parts that draft lacks begin
+JUST_ABOVE_DRAFT = 0.01  # the place at which steps begin that draft lacks
 
 
 class SettingsLine:
@@ -32,7 +32,7 @@ class SettingsLine:
             for path in field_types(config)
             if len({_value(preset, path) for preset in presets}) > 1 and _value(config, path) == _value(asked, path)
         }
-        # The presets' own names are among them.
+        # The values include the presets' own names.
         self._values.pop("preset", None)
 
     def at(self, place: float) -> Config:

@@ -1,4 +1,4 @@
-"""`mgsr`: the run and its steps singly. Each step reads what the one before left in OUT."""
+"""The program `mgsr`: whole runs, and their single steps, which read the results of earlier steps from OUT."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ AsSceneOption = Annotated[
 def output_overrides(
     faces: int | None, texture: int | None, obj: bool, usdz: bool, up: Up | None, scale: float | None
 ) -> list[str]:
-    """Return what these options mean as settings; none for what was not given."""
+    """Convert the given options to settings; options that were not given are left out."""
     given: dict[str, object] = {"faces": faces, "texture": texture, "obj": "on" if obj else None}
     given |= {"usdz": "on" if usdz else None, "up": up, "scale": scale}
     return [f"output.{name}={value}" for name, value in given.items() if value is not None]
@@ -78,10 +78,10 @@ def output_overrides(
 
 @contextmanager
 def refusals(resumes: bool = False) -> Iterator[None]:
-    """Turn what MGSR refuses into one message on stderr and exit code 2, and a stop into exit code 130.
+    """Report errors of MGSR inside the block as one message on stderr with exit code 2, and a stop with exit code 130.
 
-    What signals end is cleaned up after. After a LostCardError the process ends at once. resumes: whether the command
-    has --resume.
+    Temporary files are removed after signals. After a LostCardError the process ends at once. resumes: whether the
+    command has --resume.
     """
     try:
         with cleaned_up_after_signals():

@@ -1,8 +1,8 @@
-"""Bring photographs taken at different exposures to a common one.
+"""Correction of exposures: all photographs are brought to a common exposure.
 
-A camera that sets its own exposure or white balance shows the same surface brighter in one photograph than in the next.
-`mgsr.training.exposure` finds for each photograph a factor on each channel's linear light against the common exposure.
-This module divides by that factor, so that everything that reads views afterwards sees one exposure.
+With automatic exposure or white balance, the same surface is brighter in some photographs than in others.
+`mgsr.training.exposure` estimates the exposure of each photograph: a factor on the linear light of each channel. This
+module divides by that factor, so that all later steps see a common exposure.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from mgsr.data.scene import Exposures, Scene, View
 
 
 def evened(scene: Scene, exposures: Exposures) -> Scene:
-    """Return the scene with its photographs at the common exposure.
+    """Bring the scene's photographs to the common exposure.
 
-    Images beyond the limit of `PixelStore` lie in files, as they do when read.
+    Like images that are read, the new images lie in files beyond the limit of `PixelStore`.
     """
     pixels = PixelStore()
 

@@ -61,7 +61,7 @@ def white_borders(masks: Sequence[np.ndarray]) -> float:
 def inverted_masks(masks: Sequence[np.ndarray]) -> bool:
     """Return whether masks [H,W] uint8 are white around a black object.
 
-    They are where in nearly all views the border is white and the black part lies apart from it, in the middle.
+    This is so if, in nearly all views, the border is white and the black part lies in the middle.
     """
     return sum(map(_looks_inverted, masks)) > 0.9 * len(masks)
 

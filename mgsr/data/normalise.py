@@ -22,14 +22,16 @@ def normalisation(
     outlines: Sequence[Silhouette],
     options: NormalisationOptions = NormalisationOptions(),
 ) -> Similarity:
-    """Return the similarity that maps the unit ball to a ball around the object, from training views in the user's
-    frame.
+    """Return the similarity that maps the unit ball to a ball around the object.
 
-    outlines: the views' silhouettes of `options.contour_side` pixels, from masks that are not empty; none without
-    masks. With masks, the ball is the smallest around the visual hull. Without masks, it lies around the cameras'
-    common focus, which most of them have in view; it is then moved and shrunk to the densest points. Cameras that look
-    in one direction have no such focus. Their ball holds nine tenths of the points, or else the region that they see in
-    common. Raises SceneError if all cameras stand at one place, or if the masks have no common hull.
+    views: the training views in the user's frame. outlines: their silhouettes of `options.contour_side` pixels, from
+    masks that are not empty; an empty sequence without masks.
+
+    With masks, the ball is the smallest around the visual hull. Without masks, it lies around the focus that most
+    cameras have in view; it is then moved and shrunk to the densest points. Cameras that look in one direction have no
+    focus. Their ball holds nine tenths of the points, or else the region that they see in common.
+
+    Raises SceneError if all cameras stand at one place, or if the masks have no common hull.
     """
     cameras = [view.camera for view in views]
     centers = np.array([camera.center for camera in cameras])
@@ -41,8 +43,9 @@ def normalisation(
 
 
 def focus(origins: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
-    """Return the point [3] nearest to rays [V,3], by least squares, without the rays that miss it by far.
+    """Return the point [3] nearest to rays, by least squares, without the rays that miss it by far.
 
+    origins, directions [V,3]: the rays, with unit directions.
     None if the rays are nearly parallel or the point lies behind a fifth of them or more.
     """
     keep = np.ones(len(origins), dtype=bool)

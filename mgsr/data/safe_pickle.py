@@ -1,8 +1,8 @@
 """Read arrays from pickle files safely.
 
-A pickle is a program for a small machine, which may import and call whatever it names and ask for any amount of memory.
-This module allows only the instructions that arrays in tuples and lists need. It replaces numpy's constructors in the
-pickle by its own classes, which only store their arguments.
+A pickle is a program that can import and call any function and demand any amount of memory. This module allows only the
+instructions that arrays in tuples and lists need. It replaces numpy's constructors in the pickle by its own classes,
+which only store their arguments.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def _check_instructions(data: bytes) -> None:
 
 
 class _Kept:
-    """An object that keeps the arguments that it is made of and the state that it is given."""
+    """A stand-in for a pickled object, which only stores its constructor's arguments and its state."""
 
     def __init__(self, *arguments: Any) -> None:
         self.arguments = arguments

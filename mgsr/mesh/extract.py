@@ -48,6 +48,7 @@ def extract_mesh(
     photographs: the training views, which refine the mesh.
     threads: the number of cores to use; None: all.
     go_on: returns whether there is time for another round of refinement.
+
     start: the surface on which training began. It replaces the trained surface if the photographs clearly prefer it.
     If the trained surface is torn, `start` fitted to the views replaces it.
     steps: the steps that finish the mesh; None: all.

@@ -102,7 +102,10 @@ def look_at_textured(mesh: TexturedMesh, camera: Camera) -> SeenSurface:
 
 
 def irradiance(light: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return the irradiance [P,3], over pi, of a matte surface with unit normals [P,3] in an environment [h,2h,3]."""
+    """Return the irradiance [P,3], over pi, of a matte surface with unit normals [P,3] in an environment.
+
+    light [h,2h,3]: as in `SeenSurface.lit`.
+    """
     directions = cell_directions(len(light)).reshape(-1, 3)
     areas = np.sqrt(1 - directions[:, 2] ** 2)
     harmonics = real_harmonics(directions).T @ (areas[:, None] * light.reshape(-1, 3)) / areas.sum()

@@ -118,6 +118,7 @@ def reconstruct(
     method: mgsr, 2dgs or 3dgs.
     device: auto, cpu or cuda.
     seed: the same seed gives the same files.
+
     time_budget: seconds from this call after which the run should end; it replaces the preset.
     overrides: settings by name or path, such as {"mesh.max_faces": 50_000, "output.obj": True}, or as texts
     "key=value"; None is "none". Most settings of `data` take effect while a scene is read. For a loaded scene they

@@ -41,11 +41,14 @@ def render_gaussians(
 ) -> GaussianOutputs:
     """Render the Gaussians from any camera, at its size.
 
-    background [3] colour behind them, black by default; degree and refl_degree: SH degrees of the transmitted and the
-    reflected colours, by default all that is stored; depth: whether to render it; environment [H,W,3]: light that is
-    added to the reflected colour (see `mgsr.renderers.environment_map`); shading [H,W]: the flash's shading of the
-    transmitted colour (see `mgsr.ops.lights`); None is even light. Gradients flow to the model's tensors and to
-    environment where these require them; none flow from `reflected` and `unlit`.
+    background [3]: the colour behind the Gaussians, black by default.
+    degree, refl_degree: the SH degrees of the transmitted and the reflected colours, by default the stored ones.
+    depth: whether to render the depth.
+    environment [H,W,3]: light that is added to the reflected colour (see `mgsr.renderers.environment_map`).
+    shading [H,W]: the flash's shading of the transmitted colour (see `mgsr.ops.lights`); None is even light.
+
+    Gradients flow to the model's tensors and to environment, if these require them. None flow from `reflected` and
+    `unlit`.
 
     Raises TensorError for a model with inconsistent tensors.
     """
@@ -91,11 +94,11 @@ class _GaussianInputs:
     shading: Tensor | None
 
     def transmitted(self, sh: Tensor, means: Tensor) -> Harmonics:
-        """Return the transmitted colours of Gaussians at means [N,3], from their coefficients [N,K,3]."""
+        """Return the transmitted colours of Gaussians at means [N,3], from their coefficients sh [N,K,3]."""
         return Harmonics(coeffs=sh, means=means, center=self.center, degree=self.degrees[0])
 
     def reflected(self, sh: Tensor, means: Tensor) -> Harmonics:
-        """Return the reflected colours of Gaussians at means [N,3], from their coefficients [N,K,3]."""
+        """Return the reflected colours of Gaussians at means [N,3], from their coefficients sh [N,K,3]."""
         return Harmonics(coeffs=sh, means=means, center=self.center, degree=self.degrees[1])
 
 

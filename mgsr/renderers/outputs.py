@@ -16,10 +16,13 @@ from mgsr.data.camera import Camera
 class SurfelOutputs:
     """The 2D branch's images of one camera.
 
-    color [H,W,3] with the background; alpha [H,W]; depth [H,W] the blend's mean and median_depth [H,W], camera z, 0
-    where nothing is; normal [H,W,3] world frame, towards the camera, of length alpha; distortion [H,W] where asked
-    for; stats: screen-space figures of each surfel (see mgsr/ops); unlit [H,W,3]: the colour as it is under even light,
-    None where no flash lit it.
+    color [H,W,3]: with the background.
+    alpha [H,W]: the coverage, 0..1.
+    depth [H,W], median_depth [H,W]: the mean and the median of the blend, camera z; 0 without surfels.
+    normal [H,W,3]: in the world frame, towards the camera, of length alpha.
+    distortion [H,W]: 2DGS's depth distortion; None if it was not asked for.
+    stats: screen-space figures of each surfel (see mgsr/ops).
+    unlit [H,W,3]: the colour under even light; None without a flash.
     """
 
     color: Tensor
@@ -34,13 +37,17 @@ class SurfelOutputs:
 
 @dataclass(frozen=True)
 class GaussianOutputs:
-    """The 3D branch seen by one camera.
+    """The 3D branch's images of one camera.
 
-    color [H,W,3] = transmitted + weight * reflected; transmitted [H,W,3] with the background; reflected [H,W,3] and
-    weight [H,W], None without a light split; own_reflected [H,W,3]: the share of reflected that the splats hold, None
-    without one; environment [H,W,3]: the share that the environment map gives, None without one; unlit [H,W,3]:
-    transmitted as it is under even light, None where no flash lit it; depth [H,W] camera z, 0 where nothing is, None if
-    not asked for; alpha [H,W] of the transmitted half; stats: screen-space figures of each Gaussian (see mgsr/ops).
+    color [H,W,3]: transmitted + weight * reflected.
+    transmitted [H,W,3]: with the background.
+    reflected [H,W,3], weight [H,W]: the reflected light and its weight; None without a light split.
+    depth [H,W]: camera z, 0 without Gaussians; None if it was not asked for.
+    alpha [H,W]: the coverage by the transmitted half, 0..1.
+    stats: screen-space figures of each Gaussian (see mgsr/ops).
+    own_reflected [H,W,3]: the Gaussians' own part of reflected; None without one.
+    environment [H,W,3]: the environment map's part of reflected; None without one.
+    unlit [H,W,3]: the transmitted colour under even light; None without a flash.
     """
 
     color: Tensor

@@ -123,7 +123,7 @@ class _EnvironmentEquations:
         return solution
 
     def residual(self, light: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return the residuals [Q] of a map [C], with each point's diffuse brightness by weights [Q]."""
+        """Return the residuals [Q] of a map `light` [C], with each point's diffuse brightness by weights [Q]."""
         return self._without_own(self.brightness - self.rows @ light, weights)
 
     def _without_own(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -160,7 +160,7 @@ def least_squares_scale(brightness: np.ndarray, shape: np.ndarray, weights: np.n
 
 
 def deviation(residual: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the weighted root mean square [P] of the residuals [P,K]; weights [P,K]."""
+    """Return the weighted root mean square [P] of residual [P,K]; weights [P,K]."""
     deviations: np.ndarray = np.sqrt((weights * residual * residual).sum(1) / np.maximum(weights.sum(1), 1e-9))
     return deviations
 

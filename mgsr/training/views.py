@@ -143,8 +143,8 @@ def _reduced(view: View, by: int) -> View:
 def off_outline(mask: Tensor, band: int, valid: np.ndarray | None = None) -> Tensor:
     """Return the pixels [H,W] bool that lie farther than `band` pixels from the contour of a mask [H,W] uint8.
 
-    The contour is where the mask passes one half; a diagonal step counts as one pixel. Borders between valid and
-    invalid pixels are no contours.
+    valid [H,W] bool: the valid pixels, None for all. The contour is where the mask passes one half. A diagonal step
+    counts as one pixel. Borders between valid and invalid pixels are no contours.
     """
     inside = mask > 127
     outside = ~inside

@@ -58,7 +58,7 @@ def launcher_for(tensor: torch.Tensor) -> Launcher | None:
 
 @contextmanager
 def use_launcher(launcher: Launcher) -> Iterator[None]:
-    """Let this context's operations run as CUDA kernels on `launcher` in the block, wherever their tensors are."""
+    """Run the operations inside the block as CUDA kernels on `launcher`, wherever their tensors are."""
     token = _chosen.set(launcher)
     try:
         yield
@@ -68,7 +68,7 @@ def use_launcher(launcher: Launcher) -> Iterator[None]:
 
 @cache
 def cuda_launcher(device: int) -> CudaLauncher:
-    """Return the launcher of a card, made once a process: it holds the card's loaded kernels."""
+    """Return the launcher of a card, which holds the card's loaded kernels; each process makes it once."""
     return CudaLauncher(device)
 
 

@@ -93,10 +93,10 @@ class SurfelGradientParams(ctypes.Structure):
 
 @dataclass
 class SurfelForwardState:
-    """What backward needs kept from forward.
+    """The results of forward that backward needs.
 
-    blended: of the one band that most images are, until backward takes it; bands of an image too large for that are
-    blended again in backward, one after the other.
+    blended: the blended band, if the image is one band; None once backward has taken it. Backward blends the bands of
+    larger images again, one after the other.
     """
 
     projected: Projected
@@ -106,7 +106,7 @@ class SurfelForwardState:
     blended: Blended | None = None
 
     def take_blended(self) -> Blended | None:
-        """Return the blended band that is kept, and keep it no longer: memory may be short."""
+        """Return the kept blended band and drop the reference to it, so that its memory can be freed."""
         blended, self.blended = self.blended, None
         return blended
 

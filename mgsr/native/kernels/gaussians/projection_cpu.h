@@ -37,7 +37,7 @@ struct Opacities {
   Opacities(const GaussianInputs& in, int64_t i, float compensation)
       : main(in.opacities[i] * compensation), refl(in.refl_opacities ? in.refl_opacities[i] * compensation : 0.0f) {}
   float strongest() const { return std::max(main, refl); }
-  // In this form also false for a NaN.
+  // Written so that a NaN also gives false.
   bool visible() const { return strongest() >= kMinAlpha && strongest() <= 1e6f && main >= 0 && refl >= 0; }
 };
 
@@ -46,8 +46,9 @@ bool finite_colors(const GaussianInputs& in, int64_t i) {
   return !in.refl_colors || (all_finite(in.refl_colors + 3 * i, 3) && all_finite(in.weights + i, 1));
 }
 
-// Splats on the image. In float64: a splat counts for a pixel or not by a threshold, and an error of 1e-5 in the exponent,
-// which is what float leaves of a centre 256 pixels out, flips some thousands of those decisions in a view.
+// Splats on the image, in float64. A threshold decides whether a splat counts at a pixel. The rounding of float moves a
+// centre 256 pixels from the image's corner so far that the exponent errs by 1e-5. That flips thousands of decisions in
+// a view.
 struct Footprints {
   ProjectedGaussian<Doubles> g;
   Doubles root[3];

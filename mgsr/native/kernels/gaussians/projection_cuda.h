@@ -110,16 +110,17 @@ __device__ inline Sight project_as(const GaussianSplats& in, int64_t i, Gaussian
   return Sight::kSeen;
 }
 
-// Fills a splat's record and outline; false when it can't be seen or isn't finite. A splat counts for a pixel or not by a
-// threshold, and what float leaves of a centre 256 pixels out flips thousands of those decisions, so that the CPU computes
-// in float64. That is slow on most cards: two floats do as well, and the few splats for which they might not are done again.
+// Fills a splat's record and outline; returns false if it can't be seen or isn't finite. A threshold decides whether
+// a splat counts at a pixel. The rounding of float flips thousands of these decisions, so the CPU computes in float64.
+// Float64 is slow on most cards. Here a number is the sum of two floats, which suffices for almost all splats. The few
+// others are computed again in float64.
 __device__ inline bool project_gaussian_splat(const GaussianSplats& in, int64_t i, GaussianRecord& record, SplatOutline& outline) {
   Sight sight = project_as<TwoFloats>(in, i, record, outline);
   if (sight == Sight::kUnsure) sight = project_as<double>(in, i, record, outline);
   return sight == Sight::kSeen;
 }
 
-// The gradients that need no projection; returns that of the compensation, 0 where there is none.
+// Adds the gradients that need no projection; returns the gradient of the compensation, 0 without compensation.
 __device__ inline float light_gradients(const GaussianGradientParams& p, int64_t i, const float* total) {
   const GaussianSplats& in = p.in;
   // The exponent's and the opacity's gradients differ by the factor o; alpha = (o * compensation) * G.

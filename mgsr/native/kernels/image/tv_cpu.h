@@ -1,6 +1,6 @@
-// Edge-aware total variation with its gradient. A band of rows is one task; it goes down its rows with the flux (the
-// derivative of each pair) of the row above kept, so that a pixel's gradient is the difference of four fluxes and
-// nothing is scattered. The band's sums are added in order.
+// Edge-aware total variation with its gradient. One task computes a band of rows, from the top down. The flux of a pair
+// is its derivative. The task keeps the fluxes of the row above. So it computes a pixel's gradient as a difference of
+// four fluxes, and scatters nothing. The bands' sums are added in order.
 #pragma once
 
 #include <algorithm>

@@ -79,7 +79,7 @@ def read_scene(path: Path, side: int) -> tuple[Scene, StartingPoints]:
     if path.suffix == ".npz":
         packed = unpack(path)
         return packed.scene, packed.start
-    from mgsr.data.readers import load_scene  # late: packed scenes are for machines without the readers' libraries
+    from mgsr.data.readers import load_scene  # imported here: packed scenes serve machines without its libraries
     from mgsr.start.starting_points import starting_points
 
     config = make_config(overrides=[f"max_side={side}"])

@@ -40,7 +40,7 @@ BEFORE = {
 }
 # A search for cameras takes this share of the progress, and all of BEFORE follows it.
 CAMERAS = 0.3
-# Shares of the time after training that have passed when a step begins.
+# The share of the time after training that has passed when each step begins.
 AFTER = {"export": 0.0, "mesh": 0.0, "evaluate": 0.5, "model": 0.7, "render": 0.92, "report": 0.96}
 
 

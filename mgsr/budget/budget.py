@@ -1,11 +1,13 @@
-"""Time budgets: a run is planned so that it ends near the best that can be reached in the given time.
+"""Time budgets: a run is planned to give nearly the best result of the given time.
 
 The budget first chooses the size of the photographs, once they are read. It then times an iteration of each stage, and
 chooses the place on the line of settings (`mgsr.budget.line`). From then on the settings are fixed, and the lengths of
-the stages follow the clock. The time of the surface is neither adjustable nor well known in advance. The surface is
-therefore made before the rendering branch is fully trained, and that branch trains on until only the report is left.
-This last stage can end at any iteration. The surface's refinement can end after any round; it improves the surface more
-than training of the same length.
+the stages follow the clock.
+
+The time of surface extraction can neither be adjusted nor be predicted well. The surface is therefore extracted before
+the rendering branch is fully trained. That branch then trains until only time for the report is left; this last stage
+can end at any iteration. The surface's refinement can end after any round. It improves the surface more than training
+of the same length.
 """
 
 from __future__ import annotations
@@ -36,9 +38,10 @@ SCALES = (1.0, 0.71, 0.5, 0.35, 0.25)  # sizes of the photographs that may be ch
 class TimeBudget:
     """The time budget of `config`, counted from the zero of `clock`, in seconds.
 
-    on_card: whether training runs on a GPU, so that its speed says nothing about the CPU's. place: on the line of
-    settings; scale: of the training photographs' sides. Both are None until they are chosen. refined: the planned share
-    of the refinement's full time.
+    on_card: whether training runs on a GPU, whose speed does not show the CPU's speed.
+    place: the place on the line of settings; None until it is chosen.
+    scale: the scale of the training photographs; None until it is chosen.
+    refined: the planned share of the refinement's full time.
     """
 
     def __init__(self, config: Config, clock: Callable[[], float], on_card: bool = False) -> None:
@@ -68,23 +71,23 @@ class TimeBudget:
 
     @property
     def spent(self) -> float:
-        """Return the seconds of the run so far, those before a resume included."""
+        """Return the seconds of the run so far, including those before a resume."""
         return self._earlier + self._clock()
 
     @property
     def slowness(self) -> float:
-        """Return how many times longer than the reference machine this one takes at present."""
+        """Return the present time of this machine as a multiple of the reference machine's."""
         return (self._slowness or 1.0) * self._drift
 
     @property
     def stereo_pixels(self) -> int:
-        """Return how many pixels stereo of everything in view may search, so that it takes its share of the time."""
+        """Return the number of pixels that the stereo of whole scenes can search in its share of the time."""
         affordable = self.options.stereo_share * self.seconds / costs.STEREO * 1e6
         return max(1, min(self._most_stereo, round(affordable)))
 
     @property
     def too_small(self) -> bool:
-        """Return whether not even the least plan was expected to end in time."""
+        """Return whether even the shortest plan was expected to exceed the budget."""
         return self.least > 1.05 * self.seconds
 
     def learn(self, reference: float, seconds: float) -> None:
@@ -111,7 +114,8 @@ class TimeBudget:
     def choose_place(self, factors: CostFactors, measured: Mapping[str, float], splats: Mapping[str, int]) -> float:
         """Return the place on the line at which the plan fills the remaining time.
 
-        measured: seconds of one iteration, by stage in their order; splats: by branch, as they were then.
+        measured: the seconds of one iteration of each stage, in order. splats: the number of splats of each branch in
+        that measurement.
         """
         self._factors, self._costs, self._probed = factors, dict(measured), dict(splats)
         if not self.on_card:
@@ -132,9 +136,9 @@ class TimeBudget:
         return self.place
 
     def length(self, stages: Sequence[StageLength], index: int, splats: Mapping[str, int]) -> int:
-        """Return how many iterations the stage shall have in all; at least one more than it has done.
+        """Return the total number of iterations of the stage, at least one more than the completed ones.
 
-        splats: by branch.
+        splats: the number of splats of each branch.
         """
         stage, now, period = stages[index], self.spent, self.options.period
         if stage.name != self._open:
@@ -151,7 +155,7 @@ class TimeBudget:
         return min(iterations, self._ceilings.get(stage.name, iterations))
 
     def mesh_settings(self) -> MeshConfig:
-        """Choose the best settings of the surface that still fit, up to the plan's; of its refinement, the least."""
+        """Choose the best settings of the surface, up to the planned ones, that still fit with the least refinement."""
         assert self.place is not None
         lowest, place, least = self.options.lowest, self.place, min(self.refined, self.options.min_refined)
         self._drift = max(self._drift, self._latest)  # training ends soon after the machine has slowed down
@@ -210,7 +214,7 @@ class TimeBudget:
 
     @property
     def settings(self) -> Config:
-        """Return the settings of the place that was chosen."""
+        """Return the settings of the chosen place."""
         assert self.place is not None
         return self.line.at(self.place)
 
@@ -289,8 +293,9 @@ class TimeBudget:
     ) -> float:
         """Return the seconds reserved for the steps after training.
 
-        refined: the share of the refinement's time, None for the planned one. reserve: for a slower surface, as a
-        share, None for the option; the refinement needs none, since it can end early.
+        refined: the share of the refinement's time, None for the planned one. reserve: the reserved share of the
+        surface's time in case it takes longer, None for the option. The refinement needs no reserve, because it can
+        end early.
         """
         reserve = self.options.reserve if reserve is None else reserve
         surface = (1 + reserve) * (costs.surface_cost(factors, mesh) + costs.judging_cost(factors))

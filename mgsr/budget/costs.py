@@ -18,15 +18,15 @@ from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import rendered_pixels, surface_cells
 
 GROWN = 0.15  # Gaussians added by error-driven growth, per pixel of a view
-STEREO = 18.5  # a megapixel that stereo searches in all photographs together
-FILLED = 0.1  # a view, to continue depths over what has no contrast
-STEREO_POINTS = 0.034  # starting points, per pixel that stereo searches
-ROUNDS, FLASH_ROUNDS = 3, 10  # of refining the surface, that long
-MODEL = 2.0  # unwrapping and baking
-SEARCHED = 1.9  # a view, for the object's masks
-LEARNED = 12.0  # masks that are learned from small photographs
-FEATURE_PIXELS = 2400 * 1800  # of larger photographs, reduced copies are searched for features
-MOST_FEATURES = 8192  # in a photograph
+STEREO = 18.5  # seconds per megapixel that stereo searches, of all photographs together
+FILLED = 0.1  # seconds per view for filling depths in regions without contrast
+STEREO_POINTS = 0.034  # starting points per pixel that stereo searches
+ROUNDS, FLASH_ROUNDS = 3, 10  # rounds of refining the surface, without and with a flash
+MODEL = 2.0  # seconds of unwrapping and baking
+SEARCHED = 1.9  # seconds per view for finding the object's masks
+LEARNED = 12.0  # seconds for learning masks from small photographs
+FEATURE_PIXELS = 2400 * 1800  # photographs with more pixels are reduced before the search for features
+MOST_FEATURES = 8192  # features in a photograph
 
 
 def load_cost(factors: CostFactors) -> float:
@@ -35,7 +35,7 @@ def load_cost(factors: CostFactors) -> float:
 
 
 def cameras_cost(photographs: int, pixels: float, frames: bool) -> float:
-    """Return the seconds that the search for the cameras of so many photographs takes.
+    """Return the seconds that the search for the photographs' cameras takes.
 
     pixels: mean pixels of a photograph. frames: whether they are frames of a video; their choice is not counted.
     """
@@ -52,7 +52,7 @@ def stereo_pixels(factors: CostFactors, most: int) -> float:
 def start_cost(factors: CostFactors, most: int = SceneStereoOptions().max_pixels) -> float:
     """Return the seconds that finding the starting points takes, on the hull or by stereo.
 
-    most: the pixels that stereo of everything in view searches at most.
+    most: the most pixels that the stereo of whole scenes searches.
     """
     search = SEARCHED * factors.views if factors.searched else 0.0
     everything = STEREO * stereo_pixels(factors, most) / 1e6 + FILLED * min(factors.views, PHOTOGRAPHS)
@@ -76,7 +76,7 @@ def iteration_cost(stage: str, factors: CostFactors, splats: Mapping[str, int]) 
 def usual_count(start: int, factors: CostFactors) -> int:
     """Return the usual final number of Gaussians of a branch that starts with `start` and grows by errors.
 
-    Scenes differ much: matte toys take 0.02 a pixel, lego 0.2.
+    Scenes differ much: matte toys need 0.02 Gaussians a pixel, and the scene lego needs 0.2.
     """
     return start + round(GROWN * factors.pixels)
 

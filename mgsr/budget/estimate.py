@@ -18,9 +18,9 @@ _DRAFT_DEPTH, _USUAL_SPLATS = 7, 30_000
 
 @dataclass(frozen=True)
 class Speed:
-    """How many times longer than the reference machine this one takes.
+    """The time that this machine takes, as a multiple of the reference machine's.
 
-    training: for iterations, which may run on a card. rest: for all else.
+    training: for iterations of training, which may run on a card. rest: for all other work.
     """
 
     training: float
@@ -29,7 +29,7 @@ class Speed:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a run at a preset is expected to take. seconds: the whole run; steps: seconds by step."""
+    """The expected time and memory of a run at a preset. seconds: the whole run; steps: seconds by step."""
 
     preset: str
     seconds: float

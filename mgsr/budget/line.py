@@ -1,4 +1,4 @@
-"""The line of settings on which the presets are points: draft at 0, standard at 1, high at 2.
+"""The line of settings, on which a place is a number: the preset draft is at 0, standard at 1, high at 2.
 
 Numbers are interpolated geometrically between two presets, and extrapolated below draft. A setting that is not a
 number, or is 0 for none, comes from the nearest preset. A part that a preset lacks begins just above that preset.
@@ -13,7 +13,7 @@ from typing import Any
 from mgsr.config import PRESETS, Config, field_types, make_config
 from mgsr.config.overrides import value_at
 
-JUST_ABOVE_DRAFT = 0.01  # where the parts that draft lacks begin
+JUST_ABOVE_DRAFT = 0.01  # the place at which steps begin that draft lacks
 
 
 class SettingsLine:
@@ -32,7 +32,7 @@ class SettingsLine:
             if len({value_at(preset, path) for preset in presets}) > 1
             and value_at(config, path) == value_at(asked, path)
         }
-        # The presets' own names are among them.
+        # The values include the presets' own names.
         self._values.pop("preset", None)
 
     def at(self, place: float) -> Config:

@@ -39,7 +39,7 @@ _HEADER_BYTES = 4 << 20
 _JUNK = {"__MACOSX", ".DS_Store", "Thumbs.db"}
 _APPLE_DOUBLE = "._"  # prefix of the files that macOS adds beside others
 
-# What other archives begin with.
+# The first bytes of other kinds of archives.
 _OTHERS = {b"BZh": "bzip2", b"\xfd7zXZ\0": "xz", b"7z\xbc\xaf\x27\x1c": "7z", b"Rar!\x1a\x07": "RAR"}
 
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
@@ -85,14 +85,19 @@ class _Member:
 def unpack(archive: Path, target: Path | None = None, limits: ArchiveLimits | None = None) -> Path:
     """Unpack an archive and return the folder that holds its files.
 
-    target: the folder to unpack to, which must be empty. Without it, the folder is a temporary one that is removed when
-    this process ends. Zip, tar, tar.gz and tar.zst are told apart by their content. Files that macOS and Windows add
-    beside the user's own are left out.
+    target: the folder to unpack to, which must be empty; None: a temporary folder that is removed when this process
+    ends. The content decides between zip, tar, tar.gz and tar.zst. Files that macOS and Windows add beside the user's
+    own are left out. After an error nothing is left behind.
 
-    Raises ArchiveError, naming the member and the limit, for names that are absolute, have '..' or control characters,
-    are too long or come twice (also where only their case differs); for links and devices; for encrypted or damaged
-    members; for archives that unpack to more than the limits, counted in bytes really written; and for other kinds of
-    archives. Raises OSError, naming the folder, where the disk is full. After an error nothing is left behind.
+    Raises ArchiveError, which names the member and the limit:
+
+    - for names that are absolute, too long or repeated (also with different case), or have '..' or control characters;
+    - for links and devices;
+    - for encrypted or damaged members;
+    - for archives that unpack to more than the limits, counted in bytes really written;
+    - for other kinds of archives.
+
+    Raises OSError, which names the folder, if the disk is full.
     """
     folder = target or temporary_folder("mgsr-scene-") / archive_stem(archive)  # messages name a scene after its folder
     if folder.is_dir() and any(folder.iterdir()):
@@ -116,7 +121,7 @@ def unpack(archive: Path, target: Path | None = None, limits: ArchiveLimits | No
 
 def _is_damage(error: BaseException) -> bool:
     """Return whether an error comes from the archive's content, and not from the disk or this program."""
-    # zipfile seeks to places before the file's beginning where an archive says so.
+    # A damaged archive can make zipfile seek to a place before the file's beginning.
     return isinstance(error, _DAMAGE) or (isinstance(error, OSError) and error.errno == errno.EINVAL)
 
 
@@ -179,7 +184,7 @@ def _declared_count(file: IO[bytes]) -> int:
 
 
 def _zstd_reader(file: IO[bytes]) -> Any:
-    import zstandard  # late: few archives need it
+    import zstandard  # imported here, because few archives need it
 
     # 128 MiB is the window that the format asks every decoder to support.
     return _Zstd(zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(file))
@@ -203,7 +208,7 @@ class _Zstd:
 
 
 class _Gauge:
-    """Counts the bytes that a stream yields against the most that may come before the next file's content."""
+    """A stream that limits the number of bytes before the next file's content."""
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
@@ -239,7 +244,7 @@ def _tar_members(archive: Path, stream: Any) -> Iterator[_Member]:
     gauge = _Gauge(stream)
     with tarfile.open(fileobj=gauge, mode="r|") as opened:  # type: ignore[call-overload]
         for member in opened:
-            opened.members = []  # else the names of many members pile up in memory
+            opened.members = []  # otherwise the names of many members would fill the memory
             if member.isdir():
                 yield _Member(member.name, None)
             elif member.isreg() and not member.issparse():
@@ -285,7 +290,7 @@ def _checked_place(archive: Path, text: str) -> PurePosixPath:
 
 
 class _Budget:
-    """Counts what really comes out of an archive, whatever it declares."""
+    """A counter of an archive's real content, whatever the archive declares."""
 
     def __init__(self, archive: Path, limits: ArchiveLimits) -> None:
         self.archive, self._limits, self._packed = archive, limits, archive.stat().st_size

@@ -1,8 +1,8 @@
 """The colour behind everything: white, black, or the colour of a plain backdrop in the photographs.
 
 Without masks, splats must reproduce everything that photographs show. Around an object on black velvet or before white
-paper they would build a curtain, which would end up in the mesh. With the backdrop's colour behind the splats, none are
-needed there.
+paper they would form a curtain, which would become part of the mesh. With the backdrop's colour behind the splats, no
+splats are needed there.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ class Backdrop:
     """The colour behind the splats, sRGB 0..1.
 
     random: training draws another colour in each iteration; evaluation uses `color`.
-    plain: the photographs show this backdrop, so pixels of its colour count as backdrop. near: the difference, of 255,
-    below which they do.
+    plain: the photographs show this backdrop, so points of its colour count as backdrop.
+    near: the largest difference, of 255, from the backdrop's colour at which a point counts as backdrop.
     """
 
     color: Color
@@ -34,7 +34,7 @@ class Backdrop:
     near: int = BackdropOptions().near
 
     def hides(self, colors: np.ndarray) -> np.ndarray:
-        """Return [P] bool: which colours [P,3] uint8 sRGB are taken for a plain backdrop; none without one."""
+        """Return which colors [P,3] uint8 sRGB count as the plain backdrop, [P] bool; all False without one."""
         if not self.plain:
             return np.zeros(len(colors), bool)
         hidden: np.ndarray = (np.abs(colors - 255 * np.array(self.color)) < self.near).all(axis=1)
@@ -46,9 +46,9 @@ def plain_backdrop(
 ) -> Color | None:
     """Find the colour, sRGB 0..1, that nearly all borders of the photographs share.
 
-    photographs: each an image [H,W,3] uint8 sRGB, and the pixels [H,W] bool that it shows, None where it shows all.
-    Returns None where the borders share no colour, or where nothing stands before the backdrop. It reads all
-    photographs; `Scene.plain_backdrop` caches the result.
+    photographs: images [H,W,3] uint8 sRGB, each with its valid pixels [H,W] bool, None for all. Returns None if the
+    borders share no colour, or if nothing stands before the backdrop. The function reads all photographs;
+    `Scene.plain_backdrop` caches the result.
     """
     borders, others = (
         np.concatenate(parts)

@@ -1,4 +1,4 @@
-"""How cameras are searched for where a capture has none: where they go, and who is told."""
+"""The terms of a search for cameras: the folder for the result, and the callbacks for progress."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ def _ignore(_: object) -> None:
 class CameraSearch:
     """The terms of a search for cameras.
 
-    folder: where the found cameras go, and where an interrupted search leaves its state; None is a folder that is
-    removed when the process ends. resume: whether cameras or a state that are already there, of the same photographs
-    and settings, are used. known_only: whether nothing is searched, so that only cameras in the folder count. seed:
-    seeds COLMAP's random samples. say, tell: receive lines and the share that is done.
+    folder: where the found cameras go, and where an interrupted search leaves its state; None: a temporary folder.
+    resume: whether to use cameras or a state that are already there, if photographs and settings are the same.
+    known_only: whether to use only cameras that are already in the folder, without a search.
+    seed: the seed of COLMAP's random samples.
+    say, tell: receive lines for the user, and the share that is done.
     """
 
     folder: Path | None = None

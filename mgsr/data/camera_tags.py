@@ -72,7 +72,7 @@ def read_tags(path: Path) -> CameraTags:
 
 def _header(path: Path) -> Any:
     """Return OpenImageIO's header of a file; None where the file can't be opened."""
-    import OpenImageIO  # late: training needs none
+    import OpenImageIO  # imported here, because training needs no OpenImageIO
 
     handle = OpenImageIO.ImageInput.open(str(path))
     if handle is None:

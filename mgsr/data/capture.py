@@ -29,12 +29,14 @@ class Split(StrEnum):
 class Photo:
     """One photograph as the files of a capture describe it; loaded, it is a `View`.
 
-    image: its file. mask: a file that is white on the object, or black on the regions to ignore and white elsewhere
-    (see `MaskUse`), or None. ignored: a file that is white on the regions to ignore and black elsewhere, or None.
-    K: [3,3] pixels, pixel centres at +0.5, for an image of `size` = (width, height); it follows the image if that is
-    larger or smaller. With a lens, image and K are those of the distorted photograph.
-    cam_from_world: [4,4] in the user's frame, OpenCV axes; a uniform scale is divided out when it is checked.
-    split: None where the files name none.
+    image: the image file.
+    mask: a file that is white on the object, or black on the regions to ignore and white elsewhere (see `MaskUse`);
+    None without a mask.
+    ignored: a file that is white on the regions to ignore and black elsewhere, or None.
+    K [3,3]: pixels, pixel centres at +0.5, for an image of `size` = (width, height). If the image has another size, K
+    is scaled to it. With a lens, image and K are those of the distorted photograph.
+    cam_from_world [4,4]: in the user's frame, OpenCV axes; a uniform scale is divided out when it is checked.
+    split: None if the files name none.
     source: the camera's place in the files, for messages ("transforms_train.json, frame 3").
     """
 
@@ -53,11 +55,12 @@ class Photo:
 class Capture:
     """A capture as its files describe it.
 
-    photos: the usable photographs. points: points of the surface in the user's frame, where the files have them. notes:
-    messages to the user about everything that the reader left out. file: the file that names the photographs, for
-    messages.
-    lost: the reason for each photograph that is missing or whose camera can't be used. least_kept: the share of the
-    photographs that must be left.
+    photos: the usable photographs.
+    points: points of the surface in the user's frame, if the files have them.
+    notes: messages to the user about everything that the reader left out.
+    file: the file that names the photographs, for messages.
+    lost: the error of each photograph that is missing or whose camera can't be used.
+    least_kept: the least share of usable photographs.
     """
 
     photos: list[Photo]
@@ -99,10 +102,11 @@ def _there(path: Path | SceneError) -> Path:
 class Format:
     """One kind of input.
 
-    name: short, for reports. looks_for: what makes a folder this format, for the message that lists all formats.
-    recognises: given a folder, the file in it that makes it this format, or None. It must not raise.
-    read: the capture of a folder that was recognised; raises SceneError. Poses and intrinsics are checked afterwards.
-    rank: where several formats recognise a folder, the lowest wins.
+    name: a short name, for reports.
+    looks_for: the files that identify the format, for the message that lists all formats.
+    recognises: returns the file in a folder that identifies the format, or None. It must not raise.
+    read: returns the capture of a recognised folder; raises SceneError. Poses and intrinsics are checked afterwards.
+    rank: if several formats recognise a folder, the lowest rank wins.
     """
 
     name: str

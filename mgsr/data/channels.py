@@ -1,4 +1,4 @@
-"""Which of an image file's channels are its colours and its alpha."""
+"""Selection of the channels of an image file that hold its colours and its alpha."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether the photographs are many enough, and close enough to each other, to reconstruct a surface."""
+"""The check whether there are enough photographs, close enough to each other, to reconstruct a surface."""
 
 from __future__ import annotations
 

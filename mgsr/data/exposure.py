@@ -1,4 +1,4 @@
-"""Bring photographs taken at different exposures to a common one.
+"""Correction of exposures: all photographs are brought to a common exposure.
 
 A camera that sets its own exposure or white balance shows the same surface brighter in one photograph than in the next.
 `mgsr.training.exposure` finds the gain of each photograph's channels in linear light, relative to the
@@ -22,7 +22,7 @@ from mgsr.data.scene import Exposures, Scene, View
 def with_exposures(scene: Scene, exposures: Exposures) -> Scene:
     """Return the scene with its photographs at the common exposure.
 
-    Images beyond the limit of `PixelStore` lie in files, as they do when read.
+    Like images that are read, the new images lie in files beyond the limit of `PixelStore`.
     """
     pixels = PixelStore()
 

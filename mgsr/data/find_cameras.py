@@ -31,7 +31,7 @@ _FRAMES = 0.3
 # The names of these kinds of input in reports.
 PHOTOGRAPHS, VIDEO = "photographs", "video"
 
-# The share of the rest that decoding the photographs takes, and then that finding their cameras begins.
+# The share of the remaining search that decoding the photographs takes.
 _GATHERED = 0.1
 
 _FOUND = "the cameras were found from the photographs, which came without any: lengths have no unit"
@@ -58,7 +58,7 @@ class _Task:
         return sorted(self.folder.images.rglob("*.jpg")) if self.found.is_video else self.files
 
     def settings(self, seed: int) -> str:
-        """Return the settings that change which cameras are found."""
+        """Return the settings that affect the search for cameras, as one text."""
         video, frames = (self.config.video_frames, self.config.max_side), self.options.frames
         of_videos = (*video, frames) if self.found.is_video else ()
         return repr((seed, self.config.camera_per_image, self.options.cameras, *of_videos))
@@ -67,11 +67,12 @@ class _Task:
 def with_cameras(
     found: FoundScene, config: DataConfig, search: CameraSearch, options: DataOptions = DataOptions()
 ) -> FoundScene:
-    """Return the capture with its cameras, which are searched for where it has none.
+    """Return the capture with its cameras; if it has none, search for them.
 
-    Raises SceneError where too few photographs can be read or placed, ConfigError without pycolmap, or without PyAV for
-    a video; and what `search.tell` raises. A search that is interrupted leaves its state in the search's folder; one
-    that fails leaves nothing.
+    An interrupted search leaves its state in the search's folder. A failed search leaves nothing.
+
+    Raises SceneError if too few photographs can be read or placed. Raises ConfigError without pycolmap, and for a video
+    without PyAV. Also raises the errors of `search.tell`.
     """
     if found.kind is not None:
         return found
@@ -94,7 +95,7 @@ def with_cameras(
 
 
 def facts_without_cameras(found: FoundScene) -> dict[str, Any]:
-    """Return what is known of a capture whose cameras have not been searched for, by names for people."""
+    """Return the known facts of a capture before the search for its cameras, by display name."""
     return {
         "name": found.name,
         "format": VIDEO if found.is_video else PHOTOGRAPHS,
@@ -125,7 +126,7 @@ def _searched(task: _Task, state: SearchState, search: CameraSearch) -> SearchSt
         search = replace(search, tell=search.share(_FRAMES, 1.0))
     with tempfile.TemporaryDirectory(prefix="mgsr-poses-") as work:
         gathered = gather(task.photos.root, task.images, Path(work, "images"), search.share(0, _GATHERED))
-        for note in gathered.notes:  # before an hour of matching, not after
+        for note in gathered.notes:  # said now, because matching may take an hour
             search.say(note)
         lenses = lenses_of(gathered.shots, task.config.camera_per_image, search)
         search = replace(search, tell=search.share(_GATHERED, 1.0))
@@ -152,7 +153,7 @@ def choose_frames_of(
     search: CameraSearch,
     options: FrameOptions = FrameOptions(),
 ) -> tuple[int, tuple[str, ...]]:
-    """Write chosen frames of videos into a folder, and of several videos into a folder for each; return how many.
+    """Write chosen frames of videos into a folder, or of several videos into a folder each; return their number.
 
     Also returns a line on each video. Raises SceneError for videos that can't be used, and ConfigError without PyAV.
     """

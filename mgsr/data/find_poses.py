@@ -29,9 +29,10 @@ def find_poses(
     COLMAP's random samples; its threads may still differ in the last digits.
 
     say: receives a line on each stage. camera_per_image: give each photograph its own lens; otherwise the photographs
-    of one camera share a lens. Returns notes on the photographs that could not be placed. Raises ConfigError without
-    pycolmap or where `scene` holds something, and SceneError where most photographs can't be read or placed; then no
-    `scene` is left.
+    of one camera share a lens. Returns notes on the photographs that could not be placed.
+
+    Raises ConfigError without pycolmap, and if `scene` is not empty. Raises SceneError if most photographs can't be
+    read or placed; then no `scene` is left.
     """
     require_pycolmap()
     search = CameraSearch(seed=seed, say=say)
@@ -46,7 +47,7 @@ def find_poses(
         scene.mkdir(parents=True, exist_ok=True)
         try:
             gathered = gather(folder, images, scene / "images")
-            for note in gathered.notes:  # before an hour of matching, not after
+            for note in gathered.notes:  # said now, because matching may take an hour
                 say(note)
             lenses = lenses_of(gathered.shots, camera_per_image, search)
             found = SearchFolder(scene / "images", Path(work, "database.db"), keep=lambda: None)

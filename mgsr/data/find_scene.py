@@ -23,7 +23,7 @@ from mgsr.errors import SceneError
 _DEEPEST = 8
 _MOST_FOLDERS = 2000
 
-# How many folders around a part of a scene are looked at, and how deep.
+# Limits of the search around a part of a scene: number of enclosing folders, and depth.
 _FARTHEST_AROUND = 3
 _DEEPEST_AROUND = 4
 
@@ -56,10 +56,13 @@ class FoundScene:
 def find_scene(folder: Path, given: Path, confined: bool = False) -> FoundScene:
     """Find the scene in a folder: the nearest folder that a format recognises, itself first and then those below.
 
-    given: the user's path, for messages: the folder, or the archive that it was unpacked from. A folder of photographs
-    with its cameras beside it belongs to the enclosing scene, unless it comes from an archive. Photographs that no
-    format recognises, or else a video, are a scene without cameras. confined: never search outside the folder. Raises
-    SceneError, with the folder's content and the cure, where it finds no scene or several.
+    given: the user's path, for messages: the folder, or the archive that it was unpacked from. confined: never search
+    outside the folder.
+
+    A folder of photographs with its cameras beside it belongs to the enclosing scene, unless it comes from an archive.
+    Photographs that no format recognises, or else a video, are a scene without cameras.
+
+    Raises SceneError, with the folder's content and the remedy, if it finds no scene or several.
     """
     formats = all_formats()
     for level in _levels(folder):
@@ -165,7 +168,7 @@ def _photos(found: FoundScene) -> list[Photo]:
 def _without_cameras(folder: Path, given: Path, formats: Sequence[Format]) -> FoundScene:
     """Return the photographs, or else the videos, of a folder that no format recognises.
 
-    Raises SceneError where cameras are there that can't be read, or nothing to find cameras for, with what to do.
+    Raises SceneError, with a remedy, if the folder has unreadable cameras, or neither enough photographs nor a video.
     """
     files = [path for level in _levels(folder) for inner in level for path in _files(inner)]
     if unread := unread_cameras(folder):

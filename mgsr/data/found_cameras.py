@@ -32,10 +32,13 @@ _HEAD = 1 << 16
 
 @dataclass(frozen=True)
 class SearchState:
-    """What a search has come to.
+    """The state of a search for cameras.
 
-    photographs, settings: what they are of (see `key_of`). finished: whether the model is there. notes: for the user.
-    frames: the number of frames that were chosen from videos, 0 while none are.
+    photographs: the key of the photographs (see `key_of`).
+    settings: the settings that affect the search.
+    finished: whether the model is complete.
+    notes: notes for the user.
+    frames: the number of frames chosen from videos, 0 before the choice.
     """
 
     photographs: str
@@ -64,7 +67,8 @@ class CameraFolder:
     def state(self, photographs: str, settings: str | None) -> SearchState | None:
         """Return the state of the search that this folder holds.
 
-        photographs, settings: what it must be of; None takes any settings. Returns None where there is no such search.
+        photographs, settings: the photographs and settings of the search; settings None accepts any. Returns None if
+        there is no such search.
         """
         try:
             content = json.loads((self.path / SEARCH_STATE).read_text(encoding="utf-8"))
@@ -76,14 +80,14 @@ class CameraFolder:
         return state if same and model_is_there else None
 
     def write_state(self, state: SearchState) -> None:
-        """Write the state, whole or not at all."""
+        """Write the state atomically."""
         self.path.mkdir(parents=True, exist_ok=True)
         partial = self.path / f".partial.{SEARCH_STATE}"
         partial.write_text(json.dumps(asdict(state)), encoding="utf-8")
         os.replace(partial, self.path / SEARCH_STATE)
 
     def clear(self) -> None:
-        """Remove what the folder holds, and the folder if nothing else is in it."""
+        """Remove the search's files, and the folder if nothing else is in it."""
         for name in (DATABASE, SEARCH_STATE, f".partial.{SEARCH_STATE}", f".partial.{DATABASE}"):
             (self.path / name).unlink(missing_ok=True)
         for name in (IMAGES, MODEL.split("/")[0]):
@@ -105,20 +109,20 @@ class CameraFolder:
         self.database.unlink(missing_ok=True)
 
     def read(self, photos: SceneFolder, notes: Sequence[str]) -> Capture:
-        """Read the model, whose photographs lie in another folder. Raises SceneError where it is damaged."""
+        """Read the model, whose photographs lie in another folder. Raises SceneError if it is damaged."""
         capture = read_model(self.path / MODEL, photos)
         return replace(capture, notes=(*notes, *capture.notes))
 
 
 class DatabaseKeeper:
-    """Copies a search's database from time to time to where it outlives the process."""
+    """A keeper that copies a search's database at intervals to a folder that outlives the process."""
 
     def __init__(self, database: Path, copy: Path) -> None:
         self._database, self._copy = database, copy
         self._due = time.monotonic() + _KEEP_EVERY
 
     def __call__(self) -> None:
-        """Copy the database if it is time; nothing may have it open."""
+        """Copy the database if a copy is due; no one may have it open."""
         if time.monotonic() >= self._due:
             self.keep()
 
@@ -135,7 +139,7 @@ class DatabaseKeeper:
 
 
 def key_of(files: Sequence[Path], folder: Path) -> str:
-    """Return a key that tells photographs or videos from others: by their names, sizes and first bytes."""
+    """Return a key of photographs or videos, from their names, sizes and first bytes."""
     digest = hashlib.sha256()
     for file in files:
         with file.open("rb") as opened:
@@ -146,7 +150,7 @@ def key_of(files: Sequence[Path], folder: Path) -> str:
 
 
 def no_cameras_in(folder: Path, given: Path) -> SceneError:
-    """Return the error for photographs whose cameras should lie in a folder of results and do not."""
+    """Return the error for photographs whose cameras are missing from a folder of results."""
     return SceneError(
         f"{given}: photographs without cameras, and {folder} has no cameras of them; finish `mgsr run` with the same "
         "photographs first"

@@ -55,7 +55,7 @@ class Gathered:
 def find_photos(folder: Path, given: Path) -> list[Path]:
     """Find the photographs below a folder.
 
-    given: the user's path, for messages. Raises SceneError, with what lies there instead, where they are too few.
+    given: the user's path, for messages. Raises SceneError, which describes the folder's files, if there are too few.
     """
     images = images_below(folder)
     if len(images) < FEWEST_PHOTOS:
@@ -66,13 +66,12 @@ def find_photos(folder: Path, given: Path) -> list[Path]:
 
 
 def gather(photos: Path, images: Sequence[Path], folder: Path, tell: Tell = lambda done: None) -> Gathered:
-    """Put the photographs below `photos` into `folder` as hard links, or as PNG where COLMAP does not read their kind.
+    """Put the photographs below `photos` into `folder` as hard links, or as PNG if COLMAP can't read their format.
 
-    Where the disk has no hard links, files are copied. PNGs are 8-bit sRGB and keep their alpha. Each photograph is
-    decoded once, so that damaged ones are found. Raises SceneError where most can't be read or too few are left, with
-    the reason of the first.
+    If the disk has no hard links, files are copied. PNGs are 8-bit sRGB and keep their alpha. Each photograph is
+    decoded once, so that damaged ones are found. tell: receives the share of the photographs that is done.
 
-    tell: receives the share of the photographs that is done.
+    Raises SceneError, with the first reason, if most photographs can't be read or too few are left.
     """
     shots: list[PhotoFile] = []
     originals: dict[str, str] = {}
@@ -102,7 +101,7 @@ def _notes_of_lost(lost: Mapping[str, SceneError], total: int) -> tuple[str, ...
 
 
 def _hand_over(image: Path, name: Path, folder: Path, taken: set[str]) -> PhotoFile:
-    """Put one photograph into the folder under `name`, converted to PNG if need be.
+    """Put one photograph into the folder under `name`, converted to PNG if necessary.
 
     taken: folded names in use; the name of a converted photograph is added. Raises SceneError for files that are not
     photographs.
@@ -142,7 +141,7 @@ def _has_heif_brand(image: Path) -> bool:
 def _is_read_by_colmap(image: Path) -> bool:
     if is_heif(image):
         return False
-    import OpenImageIO  # late: training needs none
+    import OpenImageIO  # imported here, because training needs no OpenImageIO
 
     handle: Any = OpenImageIO.ImageInput.open(str(image))
     kind, depth = handle.format_name(), str(handle.spec().format)
@@ -164,7 +163,7 @@ def _free_name(name: Path, taken: set[str]) -> Path:
 
 
 def _png(picture: DecodedImage) -> bytes:
-    import cv2  # late: few captures need it
+    import cv2  # imported here, because few captures need it
 
     pixels = picture.colors[..., ::-1]
     if picture.alpha is not None:

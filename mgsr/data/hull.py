@@ -14,8 +14,8 @@ from mgsr.data.valid_mask import valid_at
 from mgsr.errors import SceneError
 from mgsr.parallel import map_ahead
 
-# A voxel is classified only if this share of the views shows it: nothing carves a region outside nearly all images, so
-# it would remain as a false block.
+# A voxel can be inside only if at least this share of the views shows it. No mask carves a region outside nearly all
+# images, so it would remain as a false block.
 MIN_SEEN = 0.25
 
 # The field between voxel centres changes a little faster than distance (perspective, skewed pixels).
@@ -26,9 +26,10 @@ SLACK = 1.2
 class Hull:
     """A visual hull as a grid of approximate signed distances.
 
-    field [R,R,R] float32 (x, y, z): about the signed distance to the hull's surface, positive inside. It is exact only
-    near the surface and where enough views look. Its samples are voxel centres: voxel is their spacing, origin the
-    position of the first one.
+    field [R,R,R] float32 (x, y, z): the approximate signed distance to the hull's surface, positive inside. It is exact
+    only near the surface and where enough views see it. Its samples are voxel centres.
+    voxel: the spacing of the samples.
+    origin [3]: the position of the first sample.
     """
 
     field: np.ndarray
@@ -80,7 +81,7 @@ def carve(
 
 
 def cut_at(hull: Hull, plane: np.ndarray, margin: float = 0.0) -> Hull:
-    """Return the hull without what lies more than a margin below a plane.
+    """Cut off the part of a hull that lies more than a margin below a plane.
 
     plane [4]: the unit normal, which points up, and the offset, with normal . x + offset = 0, in the hull's frame.
     margin: in the hull's unit.
@@ -98,7 +99,7 @@ def hull_surface(hull: Hull) -> tuple[np.ndarray, np.ndarray]:
 
     if not (hull.field > 0).any():
         raise SceneError("the masks of the training views have no common visual hull; run with masks=off")
-    # One layer of outside, so that the surface closes where the grid ends.
+    # A layer of outside values closes the surface where the grid ends.
     padded = np.pad(hull.field, 1, constant_values=-hull.voxel)
     vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="ascent")
     return (vertices - 1) * hull.voxel + hull.origin, faces
@@ -109,8 +110,8 @@ def signed_field(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return each point's smallest signed distance [P] float32, in world units, over the views that constrain it.
 
-    dissent: the number of smaller distances that are passed over. Also returns whether enough views constrain the
-    point, [P] bool; where they don't, it counts as outside.
+    dissent: the number of smaller distances that are skipped. Also returns whether enough views constrain each of the
+    points [P,3], as [P] bool; other points count as outside.
     """
     lowest = np.full((dissent + 1, len(points)), np.inf, dtype=np.float32)  # sorted, the least first
     count = np.zeros(len(points), dtype=np.int32)
@@ -131,7 +132,8 @@ def keep_lowest(lowest: np.ndarray, values: np.ndarray) -> None:
 def view_field(silhouette: Silhouette, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return whether a view constrains each point [P], and the signed distance [P] there, in world units.
 
-    A view constrains the points that it sees. A view that shows the object whole constrains all others too, as outside.
+    A view constrains the points that it sees. A view that shows the whole object also constrains all other points, as
+    outside.
     """
     camera = silhouette.camera
     pixels, depth = camera.project(points)

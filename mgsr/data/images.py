@@ -37,7 +37,7 @@ class DecodedImage:
 
 
 def image_size(path: Path, source: str) -> tuple[int, int]:
-    """Return the width and height of what `read_picture` gives, from the file's header.
+    """Return the width and height of the image that `read_picture` returns, from the file's header.
 
     source: the file that asks for the image. Raises SceneError for files that can't be read or exceed MAX_PIXELS.
     """
@@ -51,7 +51,7 @@ def image_size(path: Path, source: str) -> tuple[int, int]:
 
 
 def is_heif(path: Path) -> bool:
-    """Return whether the file's content is of HEIC's family, whatever its name.
+    """Return whether the file's content belongs to the HEIC family, whatever its name.
 
     Phones and messengers rename such files to .jpg, and back.
     """
@@ -114,7 +114,7 @@ def reduce_area(image: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def composite_on_white(colors: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Return colours [H,W,3] uint8 composited over white by alpha [H,W] uint8."""
+    """Composite colors [H,W,3] uint8 over white by alpha [H,W] uint8."""
     opacity = alpha[..., None].astype(np.float32) / 255
     return to_uint8(colors * opacity + 255 * (1 - opacity))
 
@@ -268,7 +268,7 @@ def _trouble(geterror: Callable[[], str]) -> str:
 
 
 def _open(path: Path, source: str) -> Any:
-    # A late import: a training run on another machine has its images already and needs no OpenImageIO.
+    # Imported here, because training on another machine has decoded images and needs no OpenImageIO.
     import OpenImageIO
 
     _check_there(path, source)
@@ -279,7 +279,7 @@ def _open(path: Path, source: str) -> Any:
         reason = _trouble(OpenImageIO.geterror) or "unknown type"
         if odd := what_instead(path):
             raise SceneError(f"{path.name} {odd} (named by {source})")
-        cure = "reduce it" if "exceed" in reason else "copy it again"  # OpenImageIO's own limits come before ours
+        cure = "reduce it" if "exceed" in reason else "copy it again"  # OpenImageIO applies its own limits first
         raise SceneError(f"{path.name}: this file is not a readable image: {reason} (named by {source}); {cure}")
     spec, window = handle.spec(), _shown_window(handle)
     for width, height in ((spec.width, spec.height), (window.width, window.height)):
@@ -288,7 +288,7 @@ def _open(path: Path, source: str) -> Any:
 
 
 def _open_heif(path: Path, source: str) -> Any:
-    import pillow_heif  # late: few captures need it
+    import pillow_heif  # imported here, because few captures need it
 
     _check_there(path, source)
     try:

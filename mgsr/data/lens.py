@@ -37,12 +37,14 @@ class AnyLens(Protocol):
 
 @dataclass(frozen=True)
 class Lens:
-    """Brown's polynomial as OpenCV writes it, with more terms where files have them.
+    """Brown's polynomial in OpenCV's form, with further terms for some formats.
 
-    k1, k2, then `higher`: factors of r^2, r^4, r^6...; p1, p2: tangential; divisor: the factors of r^2, r^4, r^6 in the
-    denominator (OpenCV's k4, k5, k6); prism: OpenCV's s1..s4; skew: the factor by which y is added to x at the end,
-    divided by the focal length in x. fisheye: the polynomial acts on the ray's angle (Kannala and Brandt 2006) and not
-    on its tangent.
+    k1, k2, higher: the factors of r^2, r^4, r^6 and so on.
+    p1, p2: the tangential factors.
+    divisor: the factors of r^2, r^4, r^6 in the denominator (OpenCV's k4, k5, k6).
+    prism: OpenCV's s1..s4.
+    skew: the factor by which y is added to x at the end, divided by the focal length in x.
+    fisheye: whether the polynomial acts on the ray's angle (Kannala and Brandt 2006) instead of its tangent.
     """
 
     k1: float = 0.0

@@ -25,7 +25,7 @@ from mgsr.parallel import core_count
 # Called with the number of photographs that are loaded and of all.
 LoadProgress = Callable[[int, int], None]
 
-# Each holds a photograph as it is decoded, and its copies: some hundred megabytes where it is large.
+# Each thread holds a decoded photograph and its copies, some hundred megabytes for a large one.
 _MOST_THREADS = 16
 
 # Seconds between two calls.
@@ -36,8 +36,9 @@ _REPORT_EVERY = 2.0
 class LoadedView:
     """A view in the user's frame. Its alpha is the image's own; colours are meaningless where it is zero.
 
-    mask [H,W] uint8: from a file beside the photograph, white on the object or black on the regions to ignore. ignored
-    [H,W] uint8: from another file, white on the regions to ignore. Each is None where there is no such file.
+    mask [H,W] uint8: from a file beside the photograph, white on the object or black on the regions to ignore; None
+    without such a file.
+    ignored [H,W] uint8: from another file, white on the regions to ignore; None without such a file.
     """
 
     view: View
@@ -83,7 +84,7 @@ def load_views(
                     reported = time.monotonic()
                     progress(len(loaded), len(photos))
         except BaseException:
-            pool.shutdown(cancel_futures=True)  # else a useless capture would be reported only after decoding all of it
+            pool.shutdown(cancel_futures=True)  # so that an unusable capture is reported before all of it is decoded
             raise
     return loaded
 

@@ -24,7 +24,10 @@ _CHOICE = (
 
 
 class MaskUse(StrEnum):
-    """object: white is the object, all else is not. ignore: black is unknown, all else is used."""
+    """The meaning of masks.
+
+    object: white is the object, and the rest is background. ignore: black is unknown, and the rest is used.
+    """
 
     OBJECT = "object"
     IGNORE = "ignore"
@@ -33,11 +36,13 @@ class MaskUse(StrEnum):
 def find_mask_use(
     masks: Sequence[np.ndarray], cameras: Sequence[Camera], options: MaskUseOptions = MaskUseOptions()
 ) -> MaskUse:
-    """Return what masks [H,W] uint8, one for each camera, mean.
+    """Return the meaning of masks [H,W] uint8, one for each camera.
 
-    Masks that leave the images' borders black show an object before its surroundings. Other masks show one where their
-    black parts lie at one place in space, around the object. Black parts that lie somewhere else in each view are to be
-    ignored. Raises SceneError, with the two meanings, where neither is clear, and for inverted silhouettes.
+    If the masks are black on the images' borders, they are silhouettes of an object. Otherwise the black parts decide.
+    If they agree on one place in space, around the object, the masks are silhouettes. If they lie somewhere else in
+    each view, they mark regions to ignore.
+
+    Raises SceneError, with the two meanings, if neither is clear, and for inverted silhouettes.
     """
     if leave_borders_free(masks, options):
         return MaskUse.OBJECT
@@ -103,10 +108,10 @@ def _black_corners(masks: Sequence[np.ndarray]) -> float:
 
 
 def _agreement(seen: np.ndarray, black: np.ndarray) -> float:
-    """Return how much likelier than average a place is black in one view if it is black in another.
+    """Return by how much black in one view makes black in another view more likely than average.
 
-    seen, black: [V,P] bool; black only where seen. It is the share of other views that agree, less the share of all
-    seen places that are black.
+    The result is the share of other views that agree, minus the share of all visible places that are black. seen, black
+    [V,P] bool: which places each view sees, and which of these are black.
     """
     views, votes = seen.sum(axis=0), black.sum(axis=0)
     pairs = (votes * (views - 1)).sum()

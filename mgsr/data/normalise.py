@@ -22,8 +22,7 @@ def normalisation(
     silhouettes: Sequence[Silhouette],
     options: NormalisationOptions = NormalisationOptions(),
 ) -> Similarity:
-    """Return the similarity that maps the unit ball to a ball around the object, from training views in the user's
-    frame.
+    """Return the similarity that maps the unit ball to a ball around the object.
 
     silhouettes: the views' silhouettes of `options.contour_side` pixels, from masks that are not empty; none without
     masks. With masks, the ball is the smallest around the visual hull. Without masks, it lies around the cameras'

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-# What damaged arrays and archives of them make numpy and zipfile raise.
+# The errors that numpy and zipfile raise for damaged arrays and archives.
 DAMAGE = (
     ArithmeticError,
     EOFError,

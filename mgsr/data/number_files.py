@@ -64,10 +64,10 @@ def read_pose(path: Path) -> np.ndarray:
 
 
 def read_intrinsics(path: Path) -> tuple[np.ndarray, tuple[int, int] | None]:
-    """Read K [3,3] as the file has it, and the size (width, height) of its image where the file says it.
+    """Read K [3,3] as the file has it, and the size (width, height) of its image if the file gives it.
 
-    The file holds a 3x3, 3x4 or 4x4 matrix; fx fy cx cy; or what DeepVoxels, SRN and NSVF write: f cx cy in the first
-    line, and height and width in a line of their own. Raises SceneError.
+    The file holds a 3x3, 3x4 or 4x4 matrix, or fx fy cx cy. In DeepVoxels, SRN and NSVF it holds f cx cy in the first
+    line, and height and width in a separate line. Raises SceneError for anything else.
     """
     rows = read_rows(path)
     numbers = [number for row in rows for number in row]
@@ -104,8 +104,8 @@ def _size(rows: list[list[float]]) -> tuple[int, int] | None:
 def calibrated_size(K: np.ndarray, size: tuple[int, int]) -> tuple[int, int]:
     """Return the size of the image that K [3,3] is for, where its file does not say it.
 
-    It is the photograph's size, or this times a power of two where the principal point lies in the middle of such an
-    image. Research captures come with reduced photographs and the intrinsics of the full ones, and the reverse.
+    It is the photograph's size, or a power of two times that size if the principal point lies in the middle of such an
+    image. Some research captures have reduced photographs with the intrinsics of the full ones, or the reverse.
     """
     middle = 2 * K[:2, 2] / np.array(size)
     if not np.isfinite(middle).all() or (middle <= 0).any():

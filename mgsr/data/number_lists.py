@@ -65,7 +65,7 @@ def rotation_of(quaternion: np.ndarray, source: str) -> np.ndarray:
 
 
 def from_center(rotation: np.ndarray, center: np.ndarray) -> np.ndarray:
-    """Return cam_from_world [4,4] of its rotation [3,3] and the camera's position [3] in the world.
+    """Return cam_from_world [4,4] of its rotation [3,3] and the camera's center [3] in the world.
 
     It holds infinite numbers or NaN where the product overflows.
     """

@@ -28,10 +28,10 @@ class ObjectPlace:
 
 
 def read_object_place(folder: SceneFolder) -> tuple[ObjectPlace | None, tuple[str, ...]]:
-    """Return the place that object.json in the scene's folder, or in one around it up to the top, says; None without.
+    """Read the object's place from object.json in the scene's folder, or in a folder above it up to the top.
 
-    Also returns a note on a file of this name that has no box: other programs write such. Raises SceneError for a file
-    that can't be read, and for a box or a ground that is none.
+    Returns None without such a file. Also returns notes: a file of this name without a box is ignored with a note,
+    because other programs use the name too. Raises SceneError for an unreadable file, and for an invalid box or ground.
     """
     around = (each for each in (folder.root, *folder.root.parents) if each.is_relative_to(folder.top))
     path = next((each / OBJECT_FILE for each in around if (each / OBJECT_FILE).is_file()), None)

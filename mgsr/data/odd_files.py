@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mgsr.errors import SceneError
 
-# Of videos that are read, and of others.
+# The suffixes of videos that are read, and of others.
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".webm", ".mkv", ".3gp")
 _OTHER_VIDEO_SUFFIXES = (".avi", ".mts", ".m2ts", ".wmv", ".insv")
 RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".insp", ".360")
@@ -20,7 +20,7 @@ _ANNEX = b"/annex/objects/"
 
 
 def what_instead(path: Path) -> str | None:
-    """Return the real kind of a misnamed file, and the cure; None where nothing is odd."""
+    """Return the real kind of a misnamed file, with a remedy; None if nothing is odd."""
     try:
         with path.open("rb") as file:
             head = file.read(512)

@@ -1,4 +1,4 @@
-"""Views whose masks contradict the others': inverted, of another view, or of something that hides the object."""
+"""The search for masks that contradict the others: inverted, of another view, or of something that hides the object."""
 
 from __future__ import annotations
 
@@ -38,10 +38,11 @@ def agreeing_masks(
 def left_out_shares(
     views: Sequence[View], silhouettes: Sequence[Silhouette], least: float, options: OddMaskOptions = OddMaskOptions()
 ) -> np.ndarray:
-    """Return the share of the object, as nearly all masks have it, that each view's mask leaves out, [V].
+    """Return the share [V] of the object, as nearly all masks show it, that each view's mask leaves out.
 
-    A view that looks along a thin part, such as a plate, is the only one that shows how thin it is. Its mask leaves out
-    much, but the other masks are as full without that. A share above `least` counts as 0 if the others need none of it.
+    A view along a thin part, such as a plate, is the only one that shows how thin the part is. Its mask correctly
+    leaves out much, and the other masks do not need the part that it leaves out. A share above `least` therefore counts
+    as 0 if the other masks need none of it.
 
     views: with masks that are not empty; silhouettes: their silhouettes.
     """
@@ -83,10 +84,10 @@ def _cells(view: View, points: np.ndarray, spacing: float) -> np.ndarray:
 
 
 def _needed(left_out: np.ndarray, cells: Sequence[np.ndarray]) -> float:
-    """Return how much of what a view leaves out, [P] bool, the other masks need, 0..1.
+    """Return the share, 0..1, of the points left out by a view, left_out [P] bool, that the other masks need.
 
-    A mask needs a point if none of the points that the view keeps lies before or behind it. cells [P,2]: of each of the
-    other views.
+    A mask needs a point if none of the points that the view keeps lies before or behind it. cells [P,2]: for each other
+    view, the points' cells.
     """
     needed = []
     for cell in cells:

@@ -1,7 +1,7 @@
 """Find photographs by the names that a capture's files give them, wherever they lie below the scene's folder.
 
-Programs write paths relative to folders of their own, absolute paths of other machines, names without folders or
-extension, and names of files that were later converted, cropped or reduced.
+Files name photographs in many ways. Some paths are relative to a program's own folder, or absolute on another machine.
+Some names lack folder or extension. Other files were converted, cropped or reduced later.
 """
 
 from __future__ import annotations
@@ -63,11 +63,13 @@ class SceneFolder:
     ) -> FoundPhotos:
         """Find the photographs that `file` names.
 
-        names: paths as the file has them; anything else is an error of that photograph. places: the folders, below the
-        root, that the paths may be relative to. A photograph that none of them holds is looked for anywhere below the
-        root, and then below the top. The file that agrees with most of the path's last folders is taken: under the same
-        name if there is one, else the only one of that stem with another extension. labels: names are no paths, so that
-        photographs may lie in any folder without a note.
+        names: paths as the file has them; anything else is an error of that photograph.
+        places: the folders, below the root, to which the paths may be relative.
+        labels: whether the names are no paths, so that photographs may lie in any folder without a note.
+
+        A photograph that is in none of these places is searched for anywhere below the root, and then below the top.
+        The file that agrees with most of the path's last folders is taken. It must have the same name, or else be the
+        only file of that stem with another extension.
         """
         return _NameSearch(self, file, names, places, labels).result()
 
@@ -154,7 +156,7 @@ class _FileCandidate:
 
 
 class _Taken:
-    """The files that were found where their names say."""
+    """The files that were found at the places that their names give."""
 
     def __init__(self, paths: set[Path]) -> None:
         self._paths = paths
@@ -219,7 +221,7 @@ class _NameSearch:
         ]
 
     def _stated(self) -> list[Path | None]:
-        """Return the files that lie where the names say, None for the others.
+        """Return the files at the places that the names give, None for the others.
 
         Of several places, the one with most of the files comes first.
         """

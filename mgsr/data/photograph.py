@@ -16,9 +16,10 @@ from mgsr.data.valid_mask import valid_inside
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """A view with the images derived from it, each computed at its first use and kept as long as the photograph.
+    """A view with the images derived from it, each computed at its first use and cached.
 
-    A scene keeps its views for a whole run. Photographs are made for a part of it, and their images go with them.
+    A scene keeps its views for a whole run. Photographs exist only for a part of a run, and their cached images with
+    them.
     """
 
     view: View

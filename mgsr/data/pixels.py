@@ -7,11 +7,11 @@ import threading
 
 import numpy as np
 
-# Images up to this total stay in memory. With it, a run on 1,000 photographs of 2 megapixels, which take 8 GB with
-# their masks, fits in 12 GiB.
+# Images up to this total stay in memory. A run on 1,000 photographs of 2 megapixels then fits in 12 GiB, although the
+# photographs with their masks take 8 GB.
 MEMORY_BYTES = 4 << 30
 
-# A file holds many images, so that a scene doesn't take a file for each.
+# The least size of a file; each file holds many images.
 _FILE_BYTES = 1 << 30
 _ALIGNED = 64  # alignment of arrays in a file, bytes
 

@@ -28,7 +28,7 @@ def read_points(path: Path) -> PointCloud:
     Colours are bytes, 16-bit numbers, or floats from 0 to 1, 255 or 65535, told apart by the largest. Raises SceneError
     naming the file.
     """
-    from plyfile import PlyData, PlyParseError  # late: training needs no PLY
+    from plyfile import PlyData, PlyParseError  # imported here, because training reads no PLY files
 
     require_content(path)
     try:

@@ -15,8 +15,8 @@ SKEW_TOLERANCE = 1e-6
 # Pixels; and focal lengths in larger sides of the image. No camera lies beyond these.
 LARGEST_SIDE = 1_000_000
 LEAST_FOCAL, LARGEST_FOCAL = 0.003, 3000.0
-# How far the principal point may lie from the image's middle, in focal lengths: a crop of a larger image may lie beside
-# the optical axis, but not more than about 80 degrees from it.
+# The largest distance of the principal point from the image's middle, in focal lengths. A crop of a larger image may
+# lie beside the optical axis, but not more than about 80 degrees from it.
 FARTHEST_PRINCIPAL_POINT = 5.0
 
 
@@ -178,7 +178,7 @@ def from_opengl(world_from_cam: np.ndarray, source: str) -> np.ndarray:
 
 
 def _inverse(rotation: np.ndarray, center: np.ndarray, scale: float) -> np.ndarray:
-    """Return the pose [4,4] that maps back what a rotation [3,3], a centre [3] and a scale map."""
+    """Return the inverse pose [4,4] of a rotation [3,3], a centre [3] and a scale."""
     pose = rigid(rotation.T, -rotation.T @ center)
     pose[:3] /= scale
     return pose

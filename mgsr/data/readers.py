@@ -47,15 +47,18 @@ def load_scene(
 ) -> Scene:
     """Load the scene at `path`, a folder, an archive or a video, and decode its images.
 
-    Cameras are searched for where the photographs have none, which takes minutes.
+    If the photographs have no cameras, they are searched for, which takes minutes.
 
-    config: the settings of the reading; None means the defaults. unpack_to: where an archive's files go; by default a
-    folder that is removed when the process ends. progress: called every few seconds with the numbers of decoded and of
-    all photographs. search: the terms of a search for cameras. options: expert options of the reading. A name is
-    unique within train and within test. `test` is empty where the files name no split and there are fewer than
+    config: the settings of the reading; None means the defaults.
+    unpack_to: where an archive's files go; by default a temporary folder.
+    progress: called every few seconds with the numbers of decoded and of all photographs.
+    search: the terms of a search for cameras.
+    options: expert options of the reading.
+
+    A name is unique within train and within test. `test` is empty if the files name no split and there are fewer than
     `config.test_every` views.
 
-    Raises SceneError, before anything is trained, naming the file and the cure.
+    Raises SceneError, which names the file and the remedy, before anything is trained.
     """
     config = DataConfig() if config is None else config
     found = find_capture(path, config, unpack_to)
@@ -135,7 +138,7 @@ def load_capture(
 
 def _read(found: FoundScene) -> Capture:
     """Read the cameras of a scene, which must have some."""
-    assert found.kind is not None, "a search for cameras comes before"
+    assert found.kind is not None, "the cameras must have been searched for"
     return found.kind.read(found.folder)
 
 

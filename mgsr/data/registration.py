@@ -1,4 +1,4 @@
-"""Note photographs that a capture's cameras leave out, and refuse the capture where most of them are lost."""
+"""Notes on photographs without a usable camera; a capture is refused if most of its photographs have none."""
 
 from __future__ import annotations
 

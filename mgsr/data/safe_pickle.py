@@ -1,8 +1,8 @@
 """Read arrays from pickle files safely.
 
-A pickle is a program for a small machine, which may import and call whatever it names and ask for any amount of memory.
-This module allows only the instructions that arrays in tuples and lists need. It replaces numpy's constructors in the
-pickle by its own classes, which only store their arguments.
+A pickle is a program that can import and call any function and demand any amount of memory. This module allows only the
+instructions that arrays in tuples and lists need. It replaces numpy's constructors in the pickle by its own classes,
+which only store their arguments.
 """
 
 from __future__ import annotations

@@ -25,11 +25,13 @@ PHOTOGRAPHS = 64  # views that suffice to examine a surface; more add little
 class View:
     """One photograph with its camera; `Photograph` adds the images that are derived from it.
 
-    name: unique, without extension. image [H,W,3] uint8 sRGB, not premultiplied. alpha [H,W] uint8: 255 is the object;
-    None without a mask. valid_mask [H,W] bool: the pixels that the photograph shows; None where it shows all. Image and
-    alpha are undefined at other pixels (see `valid_mask.py`). irradiance [H,W] uint8: the light that a flash on the
-    camera throws on each pixel's surface, as 255 light^(1/2.4), light relative to its maximum; None where no flash is
-    known.
+    name: unique, without extension.
+    image [H,W,3]: uint8 sRGB, not premultiplied.
+    alpha [H,W]: uint8, 255 on the object; None without a mask.
+    valid_mask [H,W] bool: the valid pixels; None if all are valid. Image and alpha are undefined at other pixels (see
+    `valid_mask.py`).
+    irradiance [H,W] uint8: the irradiance of each pixel's surface by a flash on the camera, as 255 light^(1/2.4) of the
+    light relative to its maximum; None if no flash is known.
     """
 
     name: str
@@ -42,7 +44,7 @@ class View:
 
 @dataclass(frozen=True)
 class Similarity:
-    """user = scale * scene + offset: takes points of the normalised frame back to the user's. Axes are kept."""
+    """The map from the normalised frame to the user's: user = scale * scene + offset. Axes keep their directions."""
 
     scale: float = 1.0
     offset: np.ndarray = field(default_factory=lambda: np.zeros(3))

@@ -23,8 +23,9 @@ def valid_mean(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the area mean of the valid pixels, and which of the resulting pixels are valid.
 
-    pixels: [H,W,C]. mean: maps [H,W,C] to [h,w,C] float. The result is 0 where no valid pixel contributes. It counts as
-    valid where nearly all pixels that it covers are; None where all pixels are valid.
+    pixels: [H,W,C]. valid [H,W] bool: None for all. mean: maps [H,W,C] to [h,w,C] float. The result is 0 where no valid
+    pixel contributes. A resulting pixel is valid if nearly all pixels that it covers are valid; the second result is
+    None if all are.
     """
     if valid is None:
         return mean(pixels), None
@@ -35,7 +36,9 @@ def valid_mean(
 
 
 def filled(pixels: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
-    """Return the image [H,W,...] with each invalid pixel set to the nearest valid one; all 0 if nothing is valid.
+    """Set each invalid pixel of an image to the value of the nearest valid one; all 0 if nothing is valid.
+
+    pixels [H,W,...]: the image. valid [H,W] bool: True where it is valid.
 
     Windows and interpolation that cross the edge of the valid region then behave as at an image's border.
     """

@@ -26,7 +26,7 @@ def no_origin() -> np.ndarray:
 
 
 def origin_near(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return an origin [3] for positions in the box from `low` to `high`.
+    """Return an origin [3] for positions in the box from `low` [3] to `high` [3].
 
     It is zeros where float32 holds the positions well enough. Otherwise it is a short number within half the box's size
     of its middle, rounded to a power of ten.

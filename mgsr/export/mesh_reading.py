@@ -63,7 +63,7 @@ def load_mesh(path: Path) -> StoredMesh:
 
 
 def _read_parts(path: Path) -> list[StoredMesh]:
-    import trimesh  # late: splats need none
+    import trimesh  # imported here, because splats need no trimesh
 
     materials: list[_Material] = []
     if path.suffix.lower() == ".gltf":

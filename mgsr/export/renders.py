@@ -1,11 +1,16 @@
 """Rendered views as image files.
 
-Per view: `<name>.png`, `<name>_transmitted.png` and, where a flash is known, `<name>_even.png`, the transmitted colour
-under even light, 8-bit RGBA with straight alpha; where an object was found, `<name>_whole.png`, the object before its
-background, 8-bit RGB; `<name>_reflected.png`, 8-bit RGB; `<name>_weight.png`, 8-bit grey,
-255 is 1; `<name>_depth.png`, 16-bit grey, 0 where nothing is, else camera z in the user's unit after multiplication
-with the number in the file's text field `depth_scale`; `<name>_normal.png`, 8-bit RGBA, world normal n as
-255 (n + 1) / 2 with straight alpha.
+Each view has these files. Alpha is straight.
+
+- `<name>.png`: the colour, 8-bit RGBA.
+- `<name>_transmitted.png`: the transmitted colour, 8-bit RGBA.
+- `<name>_even.png`: the transmitted colour under even light, 8-bit RGBA, if a flash is known.
+- `<name>_whole.png`: the object before its background, 8-bit RGB, if an object was found.
+- `<name>_reflected.png`: the reflected colour, 8-bit RGB.
+- `<name>_weight.png`: the reflection weight, 8-bit grey, 255 is 1.
+- `<name>_depth.png`: 16-bit grey, 0 without surface. Its value times the number in the file's text field `depth_scale`
+  is camera z in the user's unit.
+- `<name>_normal.png`: the world normal n as 255 (n + 1) / 2, 8-bit RGBA.
 """
 
 from __future__ import annotations
@@ -45,7 +50,7 @@ class Rendering:
 
 
 def straight_color(on_black: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Return the colour [H,W,3] of an image rendered on black with alpha [H,W] 0..1, divided by alpha.
+    """Return the straight colour [H,W,3] of an image `on_black` [H,W,3], rendered on black with alpha [H,W] 0..1.
 
     It is black where alpha rounds to nothing.
     """
@@ -54,7 +59,7 @@ def straight_color(on_black: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 
 def on_background(on_black: np.ndarray, alpha: np.ndarray, background: Color) -> np.ndarray:
-    """Return an image [H,W,3] rendered on black with alpha [H,W] 0..1, composited on a colour."""
+    """Composite an image `on_black` [H,W,3], rendered on black with alpha [H,W] 0..1, on a colour."""
     composited: np.ndarray = np.clip(on_black + (1 - alpha[..., None]) * np.array(background), 0, 1)
     return composited
 

@@ -34,7 +34,7 @@ def write_usdz(path: Path, mesh: Mesh, uvs: np.ndarray, material: PbrMaterial, u
     """
     check_mesh(mesh)
     require_usd()
-    from pxr import Sdf, Usd, UsdGeom  # late: it is an optional package
+    from pxr import Sdf, Usd, UsdGeom  # imported here, because the package is optional
 
     with TemporaryDirectory() as folder:
         for name in _MAPS:

@@ -54,9 +54,10 @@ def start_gaussians(
     generator: torch.Generator,
     split: bool,
 ) -> GaussianModel:
-    """Build round Gaussians on points [P,3], as wide as the points' spacing.
+    """Build round Gaussians on points, as wide as the points' spacing.
 
-    split: whether they have their own reflected half. Other arguments and errors are as in `start_surfels`.
+    positions, normals, colors [P,3]: as in `start_surfels`, as are the other arguments and the errors. split: whether
+    the Gaussians have their own reflected half.
     """
     positions, normals, colors = _thinned(positions, normals, colors, config.max_start, generator)
     spacing, _ = _neighbourhood(positions)
@@ -90,8 +91,8 @@ def new_gaussians(
 ) -> dict[str, Tensor]:
     """Return the stored tensors [N,...] of round Gaussians to append to a model.
 
-    They have the model's harmonic degrees, and a reflected half where the model has one. Other arguments as in
-    `round_gaussians`.
+    They have the model's harmonic degrees, and a reflected half if the model has one. positions [P,3], sizes [P],
+    colors [P,3]: as in `round_gaussians`.
     """
     tensors = round_gaussians(positions, sizes, colors, opacity, model.sh_degree)
     if not model.split:

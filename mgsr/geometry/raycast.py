@@ -124,7 +124,7 @@ class RayCaster:
         return seen
 
     def reached(self, place: np.ndarray, points: np.ndarray, gap: float) -> np.ndarray:
-        """Return the visibility [P] bool of points [P,3] from a position [3].
+        """Return the visibility [P] bool of points [P,3] from a place [3].
 
         gap: the distance before each point within which nothing occludes it.
         """

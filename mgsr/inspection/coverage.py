@@ -1,4 +1,4 @@
-"""Where the cameras stand around the object: sides that none sees, and angles that are too small to tell depth."""
+"""Checks of the cameras' places around the object: sides that no camera sees, and too little parallax for depth."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ def check_sides(
     user: Similarity,
     options: CoverageOptions = CoverageOptions(),
 ) -> list[Finding]:
-    """Return findings on sides of the object that no camera sees, with places to add photographs at.
+    """Return findings on sides of the object that no camera sees, with places for further photographs.
 
-    cameras: in the scene's frame, in which the object lies around the origin. user: takes places to the user's frame.
+    cameras: in the scene's frame, in which the object lies around the origin. user: converts places to the user's
+    frame.
     """
     centers = np.array([camera.center for camera in cameras])
     distances = np.linalg.norm(centers, axis=1)
@@ -43,7 +44,7 @@ def check_sides(
 
 
 def _gap(share: float, seen: float, places: np.ndarray, nearest: Sequence[str]) -> Finding:
-    """Return the finding on a gap, with places [P,3] to add photographs at, in the user's frame."""
+    """Return the finding on a gap, with places [P,3] for further photographs, in the user's frame."""
     return Finding(
         Code.UNSEEN_SIDE,
         Severity.WARNING,
@@ -68,20 +69,21 @@ def _underside(share: float) -> Finding:
         "no photograph shows the underside",
         round(4 * np.pi * share, 2),
         "sr",
-        "turn the object over and photograph it as a capture of its own, if you need it",
+        "if you need the underside, turn the object over and photograph it as a separate capture",
     )
 
 
 def _up(cameras: Sequence[Camera]) -> np.ndarray:
-    """Return the unit direction [3] to which the tops of the images point, in the mean."""
+    """Return the mean unit direction [3] to which the tops of the images point."""
     up = -np.mean([camera.cam_from_world[1, :3] for camera in cameras], axis=0)
     return np.asarray(up / max(float(np.linalg.norm(up)), 1e-9))
 
 
 def _spread_places(sides: np.ndarray, options: CoverageOptions) -> np.ndarray:
-    """Return directions [P,3] among unseen ones [S,3] so that a camera at each would see all of them.
+    """Choose directions [P,3] for cameras that together would see all unseen sides [S,3].
 
-    Each is the middle of the unseen directions around the one that is farthest from all chosen so far.
+    The choice repeatedly takes the unseen direction that is farthest from all chosen ones. Each result is the mean of
+    the unseen directions around it.
     """
     chosen: list[np.ndarray] = []
     left = sides
@@ -96,7 +98,7 @@ def _spread_places(sides: np.ndarray, options: CoverageOptions) -> np.ndarray:
 def check_parallax(
     centers: np.ndarray, target: np.ndarray, options: CoverageOptions = CoverageOptions()
 ) -> list[Finding]:
-    """Return a finding where the cameras at `centers` [C,3] see `target` [3] from nearly one direction."""
+    """Return a finding if the cameras at `centers` [C,3] all see `target` [3] from nearly the same direction."""
     rays = centers - target
     rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
     widest = float(np.degrees(np.arccos(np.clip(rays @ rays.T, -1, 1))).max())
@@ -109,13 +111,13 @@ def check_parallax(
             f"the cameras span only {widest:.1f} degrees around the object, too little to measure depth",
             round(widest, 2),
             "deg",
-            "walk around the object; turning the camera on the spot gives no depth",
+            "walk around the object; turning the camera on the spot does not help",
         )
     ]
 
 
 def _sphere(count: int) -> np.ndarray:
-    """Return so many directions [N,3], spread evenly (a Fibonacci spiral)."""
+    """Return `count` directions [N,3], spread evenly over the sphere (a Fibonacci spiral)."""
     index = np.arange(count) + 0.5
     height, turn = 1 - 2 * index / count, np.pi * (1 + 5**0.5) * index
     across = np.sqrt(1 - height**2)

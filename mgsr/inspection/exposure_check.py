@@ -1,4 +1,4 @@
-"""Photographs that are brighter or darker than others of the same places."""
+"""The check for photographs that are brighter or darker than others of the same places."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def check_exposures(
     options: InspectionConfig = InspectionConfig(),
     brightness: BrightnessOptions = BrightnessOptions(),
 ) -> list[Finding]:
-    """Return a finding where photographs are brighter or darker than others that show the same places.
+    """Return a finding if photographs are brighter or darker than others that show the same places.
 
-    An exposure changes all of a photograph. Light and gloss of the scene change parts of it, so only what both halves
-    of a photograph share counts. A photograph without enough matches counts if it has twice the light of its
-    neighbours, or half of it. features, pairs: of the views.
+    An exposure changes all of a photograph. Light and gloss of the scene change parts of it, so only the change that
+    both halves of a photograph share counts. A photograph without enough matches counts if it has at least twice or at
+    most half the light of its neighbours. features, pairs: of the views.
     """
     limits = options.photos
     if len(views) < 6:
@@ -52,7 +52,7 @@ def check_exposures(
             + (f", and by twice or more in {len(odd)}" if len(odd) else ""),
             round(float(np.exp(largest)), 2),
             "times",
-            "fix exposure and white balance of the camera; MGSR evens what is left, except for clipped light",
+            "fix exposure and white balance of the camera; MGSR corrects what remains, except for clipped light",
             pick(names, odd),
         )
     ]
@@ -61,7 +61,7 @@ def check_exposures(
 def light_of_halves(
     features: Sequence[Features], pairs: Sequence[Pair], options: InspectionConfig = InspectionConfig()
 ) -> np.ndarray:
-    """Return the log light of both halves of each photograph against that of its pairs, [V,2]; NaN if it is unknown.
+    """Return the log light [V,2] of both halves of each photograph, relative to its pairs; NaN if it is unknown.
 
     It is the median over the matches that lie on the epipolar lines of the cameras.
     """
@@ -96,7 +96,7 @@ def _upper_half(places: np.ndarray) -> np.ndarray:
 
 
 def _common_spread(halves: np.ndarray, least: float) -> float:
-    """Return the robust standard deviation of what both halves [V,2] share; 0 if their correlation is below `least`.
+    """Return the robust standard deviation that both halves [V,2] share; 0 if their correlation is below `least`.
 
     Source of the covariance: Gnanadesikan and Kettenring 1972.
     """
@@ -110,6 +110,6 @@ def _squared_deviation(values: np.ndarray) -> float:
 
 
 def _shared_part(halves: np.ndarray) -> np.ndarray:
-    """Return the part [V] that both halves [V,2] share: the smaller one, or 0 where they differ in sign."""
+    """Return the part [V] that both halves [V,2] share: the smaller one, or 0 if their signs differ."""
     smaller = np.abs(halves).min(axis=1)
     return np.asarray(np.where(halves.prod(axis=1) > 0, np.sign(halves[:, 0]) * smaller, 0.0))

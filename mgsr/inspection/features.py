@@ -18,8 +18,9 @@ from mgsr.parallel import map_ahead
 class Features:
     """The features of one photograph.
 
-    pixels [N,2] float64: places in the view's own image. descriptors [N,128] float32: RootSIFT (Arandjelovic and
-    Zisserman 2012), of unit length. scale: pixels of the view for one pixel of the image in which they were found.
+    pixels [N,2] float64: the places in the view's own image.
+    descriptors [N,128] float32: RootSIFT (Arandjelovic and Zisserman 2012), of unit length.
+    scale: the size of a pixel of the image in which the features were found, in pixels of the view.
     light [N] float32: the logarithm of the linear light around each feature, NaN where it is clipped or black.
     """
 
@@ -33,7 +34,7 @@ class Features:
 
 
 def find_features(views: Sequence[View], options: FeatureOptions = FeatureOptions()) -> list[Features]:
-    """Return the features of each view: on the object where the view has a mask, and on valid pixels alone."""
+    """Find the features of each view on its valid pixels, and on the object alone if the view has a mask."""
     return list(map_ahead(lambda view: _features(view, options), views, None))
 
 
@@ -55,7 +56,7 @@ def _features(view: View, options: FeatureOptions) -> Features:
     if descriptors is None:
         return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), scale, np.zeros(0, np.float32))
     places = np.array([point.pt for point in found], np.float64) + 0.5
-    # SIFT may return one more than asked for, where two have the same strength.
+    # SIFT may return one feature too many if two have the same strength.
     order = np.argsort([-point.response for point in found], kind="stable")[: options.count]
     across = np.array([view.camera.width / grey.shape[1], view.camera.height / grey.shape[0]])
     roots = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6))
@@ -80,9 +81,9 @@ def _light(image: np.ndarray, places: np.ndarray, size: tuple[int, ...], options
 
 
 def match(one: Features, other: Features, ratio: float = FeatureOptions().ratio) -> np.ndarray:
-    """Return the matches of two photographs: indices [M,2] of features that are each other's only near ones.
+    """Return the matches of two photographs: the indices [M,2] of features that are each other's only near ones.
 
-    ratio: the largest one of the distances of the best and the second best match.
+    ratio: the largest ratio between the distances of the best and the second best match.
     """
     if min(len(one), len(other)) < 2:
         return np.zeros((0, 2), np.int64)
@@ -99,10 +100,10 @@ def match(one: Features, other: Features, ratio: float = FeatureOptions().ratio)
 
 
 def similarity(features: Sequence[Features], options: FeatureOptions = FeatureOptions(), seed: int = 0) -> np.ndarray:
-    """Return how much each two photographs look alike, [V,V], from -1 to 1; it does not use the cameras.
+    """Return the similarity [V,V], from -1 to 1, of each two photographs, without using the cameras.
 
-    The cosine between their vectors of locally aggregated descriptors (VLAD, Jegou and others 2010), to whose small
-    vocabulary the photographs' own features contribute.
+    It is the cosine between their vectors of locally aggregated descriptors (VLAD, Jegou and others 2010). The small
+    vocabulary comes from the photographs' own features.
     """
     every = np.concatenate([one.descriptors for one in features])
     if len(every) < 2 * options.words:

@@ -1,4 +1,4 @@
-"""What an inspection of a capture finds: records with a code, a severity, an amount, the photographs and the cure."""
+"""The findings of an inspection: records with a code, a severity, an amount, the photographs and the remedy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ _NAMED = 3  # photographs that a line names
 
 
 class Severity(StrEnum):
-    """error: the result would be wrong; warning: it loses accuracy or lacks a part; note: good to know."""
+    """The severity of a finding.
+
+    error: the result would be wrong. warning: the result loses accuracy or lacks a part. note: for information.
+    """
 
     ERROR = "error"
     WARNING = "warning"
@@ -21,7 +24,7 @@ class Severity(StrEnum):
 
 
 class Code(StrEnum):
-    """The kinds of findings; stable, for programs."""
+    """The kinds of findings. Programs may rely on these names."""
 
     BLURRED = "blurred"
     EXPOSURE_JUMPS = "exposure_jumps"
@@ -46,10 +49,12 @@ class Code(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was found.
+    """One finding.
 
-    text: what it is, a sentence without a full stop. amount and unit: how bad it is ("px", "sr", "deg", "share",
-    "times", "photographs"). cure: what to do. photographs: the names of those concerned, empty where it is all of them.
+    text: the description, a sentence without a full stop.
+    amount, unit: the size of the problem ("px", "sr", "deg", "share", "times", "photographs").
+    cure: the remedy.
+    photographs: the names of the affected photographs, empty if all are affected.
     places: camera positions [3] in the user's frame, from which photographs are missing.
     """
 
@@ -71,12 +76,15 @@ class Finding:
 
 @dataclass(frozen=True)
 class InspectedPhoto:
-    """One photograph as it was inspected.
+    """The results of the inspection for one photograph.
 
-    center, direction and up: of its camera, in the user's frame; up is the direction of the image's upper side. angles:
-    degrees that it sees across and down. residual: the median distance of matches from the epipolar lines of the
-    cameras, and reprojection: of points that three or more photographs share from their places in the image, in pixels
-    of the photograph; None where too few features match.
+    center, direction, up: the camera's position, its view direction and the direction of the image's upper side, in the
+    user's frame.
+    angles: the horizontal and the vertical field of view, in degrees.
+    residual: the median distance of matches from the epipolar lines of the cameras, in pixels of the photograph; None
+    if too few features match.
+    reprojection: the median reprojection error of points that three or more photographs share, in pixels of the
+    photograph; None if too few features match.
     """
 
     name: str
@@ -98,17 +106,17 @@ class Inspection:
 
     @property
     def worst(self) -> Severity | None:
-        """Return the severity of the worst finding, None without any."""
+        """Return the severity of the worst finding; None without findings."""
         return self.findings[0].severity if self.findings else None
 
     @property
     def contradictory(self) -> tuple[str, ...]:
-        """Return the names of the photographs whose poses contradict the others', or are much less exact."""
+        """Return the names of the photographs whose poses contradict the others or are much less exact."""
         poses = (Code.DOUBLED_STRUCTURE, Code.CONTRADICTORY_POSE, Code.INACCURATE_POSE)
         return tuple(name for finding in self.findings if finding.code in poses for name in finding.photographs)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the inspection as plain types, without its seconds: it is the same for the same photographs."""
+        """Return the inspection as plain types. It lacks the seconds, so the same photographs give the same result."""
         plain: dict[str, Any] = asdict(self)
         del plain["seconds"]
         return plain

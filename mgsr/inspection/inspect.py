@@ -1,4 +1,4 @@
-"""Inspect a capture before training: what would spoil the result, in which photographs, and what to do."""
+"""The inspection of a capture before training: it finds problems, the affected photographs, and remedies."""
 
 from __future__ import annotations
 
@@ -30,15 +30,14 @@ def inspect_scene(
     progress: Callable[[float], None] = lambda done: None,
     options: InspectionConfig = InspectionConfig(),
 ) -> Inspection:
-    """Return what is wrong with the photographs, cameras and masks of a scene.
+    """Inspect the photographs, cameras and masks of a scene, which stays unchanged.
 
-    progress: told of the share that is done, 0..1; it may raise. options: the limits of all checks. The scene does
-    not change.
+    progress: receives the share that is done, 0..1; it may raise. options: the limits of all checks.
     """
     started_at = time.perf_counter()
     views = [*scene.train, *scene.test]
     names = photo_names(scene)
-    # Photographs of tests are named alike, so that an index finds both.
+    # Views and names are sampled by the same indices.
     chosen = some_of(range(len(views)), options.photographs)
     compared = [views[index] for index in chosen]
     features = find_features(compared, options.features)
@@ -61,7 +60,7 @@ def _judged_pairs(
     progress: Callable[[float], None],
     options: InspectionConfig,
 ) -> Judged:
-    """Return the pairs of like photographs, and then those of each group of photographs with the largest group."""
+    """Judge the pairs of similar photographs, and then pairs between each other group and the largest group."""
     likeness = Likeness.of(views, features, options.features)
     count = len(views)
     like = likeness.pairs(~np.eye(count, dtype=bool), options.pairs)
@@ -95,7 +94,7 @@ def check_photographs(
 
 
 def photo_names(scene: Scene) -> list[str]:
-    """Return the names of the training and test photographs; a test's is `test/NAME` where a training one has NAME."""
+    """Return the names of all photographs; a test photograph is `test/NAME` if a training photograph has its NAME."""
     trained = {view.name for view in scene.train}
     test = [f"test/{view.name}" if view.name in trained else view.name for view in scene.test]
     return [*(view.name for view in scene.train), *test]
@@ -127,7 +126,10 @@ def _photographs(
 
 
 def _residuals(count: int, pairs: Sequence[Pair]) -> np.ndarray:
-    """Return each photograph's median residual [V], pixels, over the pairs whose matches share a geometry; or NaN."""
+    """Return each photograph's median residual [V], pixels, over the pairs whose matches share a geometry.
+
+    The result is NaN for a photograph without such a pair.
+    """
     mine = [[pair.residual * pair.scale for pair in each] for each in pairs_by_photo(pairs, count, 1)]
     return np.array([np.median(each) if each else np.nan for each in mine])
 

@@ -1,4 +1,4 @@
-"""Pairs of photographs held against their cameras: matches should lie on each other's epipolar lines."""
+"""The comparison of pairs of photographs with their cameras: matches should lie on each other's epipolar lines."""
 
 from __future__ import annotations
 
@@ -18,11 +18,15 @@ from mgsr.parallel import map_ahead
 class Pair:
     """Two photographs.
 
-    matches [M,2]: indices of their features. own [M] bool: those that one epipolar geometry of the images' own
-    explains, whatever the cameras. residuals [M]: distance of each match from the epipolar lines of the cameras
-    (Sampson's), in pixels of the images of the features. still [M] bool: those that lie at the same pixel of both
-    images although the cameras say otherwise; the rest does not count them. moved: matches that a second geometry
-    explains, where the cameras explain others. scale: pixels of the photograph for one of the images of the features.
+    Pixels are those of the reduced images in which features are found.
+
+    matches [M,2]: the indices of the matched features.
+    own [M] bool: the matches that one epipolar geometry explains, which is fitted without the cameras.
+    residuals [M]: Sampson's distance of each match from the epipolar lines of the cameras, in pixels.
+    still [M] bool: the matches at the same pixel of both images, although the cameras move them. All other numbers
+    leave these matches out.
+    moved: the number of matches that a second geometry explains, where the cameras explain others.
+    scale: the size of a pixel, in pixels of the photograph.
     """
 
     one: int
@@ -42,7 +46,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Likeness:
-    """How far each two cameras are apart, and how much their photographs look alike, both [V,V]."""
+    """The distance of each two cameras and the similarity of their photographs, both [V,V]."""
 
     apart: np.ndarray
     alike: np.ndarray
@@ -55,10 +59,10 @@ class Likeness:
         return cls(camera_distances([view.camera for view in views]), similarity(features, options))
 
     def pairs(self, allowed: np.ndarray, options: PairOptions = PairOptions()) -> list[tuple[int, int]]:
-        """Return the pairs to compare, of those that are allowed [V,V] bool, as sorted indices.
+        """Return the pairs to compare, among the allowed ones [V,V] bool, as sorted indices.
 
-        Cameras alone would not do: where one structure has two copies, the photographs of the second are far from those
-        of the first.
+        The cameras' distances alone do not suffice. If the cameras see two copies of one structure, the photographs of
+        one copy are far from those of the other.
         """
         chosen = set()
         for table, most in ((self.apart, options.nearest), (-self.alike, options.alike)):
@@ -70,7 +74,10 @@ class Likeness:
 
 
 def camera_distances(cameras: Sequence[Camera]) -> np.ndarray:
-    """Return how differently each two cameras stand and look, [C,C]: distance over spread, and turn in radians."""
+    """Return the difference [C,C] of each two cameras: their distance over the spread of all, plus their turn.
+
+    The turn is the angle between their axes, in radians.
+    """
     centers = np.array([camera.center for camera in cameras])
     axes = np.array([camera.cam_from_world[2, :3] for camera in cameras])
     spread = np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean() or 1.0
@@ -85,7 +92,7 @@ def compare_pairs(
     progress: Callable[[float], None],
     options: InspectionConfig = InspectionConfig(),
 ) -> list[Pair]:
-    """Return the pairs with their matches and residuals. progress: told of the share that is done."""
+    """Return the pairs with their matches and residuals. progress: receives the share that is done."""
     compared = []
     for pair in map_ahead(lambda item: _compare(views, features, item, options), pairs, None):
         compared.append(pair)
@@ -111,9 +118,9 @@ def _compare(
 
 
 def _of_one_geometry(here: np.ndarray, there: np.ndarray, among: np.ndarray, limits: PairOptions) -> np.ndarray:
-    """Return which matches [M,2], [M,2], of those `among` [M] bool, one epipolar geometry explains, [M] bool.
+    """Return which of the matches `among` [M] bool one epipolar geometry explains, [M] bool.
 
-    None where there are too few.
+    here, there [M,2]: the matches' pixels in both images. The result is all False if there are too few matches.
     """
     found = np.zeros(len(among), bool)
     if among.sum() >= limits.min_matches:
@@ -124,9 +131,9 @@ def _of_one_geometry(here: np.ndarray, there: np.ndarray, among: np.ndarray, lim
 
 
 def same_geometry(here: np.ndarray, there: np.ndarray, inlier: float) -> np.ndarray:
-    """Return which matches [M,2], [M,2] the best fundamental matrix explains, [M] bool; none where there is none.
+    """Return which matches [M] bool the best fundamental matrix explains; all False if no matrix is found.
 
-    inlier: the largest distance from an epipolar line, pixels.
+    here, there [M,2]: the matches' pixels in both images. inlier: the largest distance from an epipolar line, pixels.
     """
     import cv2  # imported here, because training needs no OpenCV
 
@@ -137,7 +144,10 @@ def same_geometry(here: np.ndarray, there: np.ndarray, inlier: float) -> np.ndar
 
 
 def epipolar_residuals(one: Camera, other: Camera, here: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """Return Sampson's distance [M], pixels, of matches [M,2], [M,2] from the epipolar geometry of two cameras."""
+    """Return Sampson's distance [M], pixels, of matches from the epipolar geometry of two cameras.
+
+    here, there [M,2]: the matches' pixels in both images.
+    """
     fundamental = fundamental_matrix(one, other)
     left = np.column_stack([here, np.ones(len(here))])
     right = np.column_stack([there, np.ones(len(there))])
@@ -147,7 +157,7 @@ def epipolar_residuals(one: Camera, other: Camera, here: np.ndarray, there: np.n
 
 
 def fundamental_matrix(one: Camera, other: Camera) -> np.ndarray:
-    """Return the matrix F [3,3] with x_other^T F x_one = 0 for the images of one point, at unit Frobenius norm."""
+    """Return the matrix F [3,3] of unit Frobenius norm with x_other^T F x_one = 0 for the images of one point."""
     relative = other.cam_from_world @ one.world_from_cam
     x, y, z = relative[:3, 3]
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

@@ -1,4 +1,4 @@
-"""Flaws of single photographs, of their masks and of their lenses."""
+"""Checks of single photographs, of their masks and of their lenses."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def check_sharpness(
 def check_object_size(
     scene: Scene, views: Sequence[View], options: PhotoCheckOptions = PhotoCheckOptions()
 ) -> list[Finding]:
-    """Return a finding where the object covers a small part of the photographs, or few pixels."""
+    """Return a finding if the object covers a small part of the photographs, or few pixels."""
     if scene.masked:
         diameters = np.array([_larger_side(view.alpha > 127) for view in views if view.alpha is not None])
     else:
-        # The object, or what most cameras look at, is the unit ball.
+        # Without masks, the unit ball is the object or the place that most cameras look at.
         far = [float(np.linalg.norm(view.camera.center)) for view in views]
         focal = [view.camera.K[0, 0] for view in views]
         diameters = 2 * np.array(focal) / np.maximum(far, 1e-9)
@@ -85,7 +85,7 @@ def check_masks(
                 f"{cut.sum()} of {len(views)} photographs cut off a part of the object",
                 int(cut.sum()),
                 "photographs",
-                "step back for some of them, if parts of the surface are missing",
+                "if parts of the surface are missing, take some photographs from farther away",
                 pick(names, np.flatnonzero(cut)),
             )
         )
@@ -101,7 +101,7 @@ def check_masks(
                 f"the masks of {len(odd)} of {len(views)} photographs miss a part of the object that the others show",
                 round(float(shares[odd].max()), 3),
                 "share",
-                "mend or remove these masks; if all look right, the poses are wrong",
+                "correct or remove these masks; if all look right, the poses are wrong",
                 pick(names, odd),
             )
         )
@@ -114,7 +114,7 @@ def check_lenses(
     """Return findings on focal lengths and image sizes."""
     cameras = [view.camera for view in views]
     found = []
-    # The diagonal, so that a photograph that was turned counts as the same lens.
+    # Relative to the diagonal, so that portrait and landscape photographs of a lens agree.
     focal = np.array([camera.K[0, 0] / np.hypot(camera.width, camera.height) for camera in cameras])
     other = np.flatnonzero(np.abs(focal / np.median(focal) - 1) > options.focal)
     if len(other):
@@ -135,7 +135,7 @@ def check_lenses(
             Finding(
                 Code.WIDE_LENS,
                 Severity.NOTE,
-                f"the images are {widest:.0f} degrees wide, so that the object gets few of their pixels",
+                f"the images are {widest:.0f} degrees wide, so the object covers few of their pixels",
                 round(widest, 1),
                 "deg",
                 "use the main lens of the camera, or come nearer",
@@ -150,7 +150,7 @@ def check_lenses(
                 f"the photographs have {side:.0f} pixels along their longer side",
                 side,
                 "px",
-                "larger ones, up to 1600 pixels, give finer detail",
+                "larger photographs, up to 1600 pixels, give finer detail",
             )
         )
     return found

@@ -1,4 +1,4 @@
-"""Poses that contradict the photographs: single ones, whole clusters with a copy of the structure, all of them."""
+"""The check for poses that contradict the photographs: single ones, clusters that see a copy of a structure, or all."""
 
 from __future__ import annotations
 
@@ -16,15 +16,17 @@ from mgsr.inspection.pairs import Pair
 from mgsr.inspection.verdicts import Judged, Verdict, pairs_by_photo, usual_residual
 
 _LEAVE_OUT = "`--set flawed=drop` leaves them out"
-_ANEW = "find the cameras anew (`mgsr poses`)"
+_ANEW = "find the cameras again (`mgsr poses`)"
 
 
 @dataclass(frozen=True)
 class PoseGroups:
-    """Photographs grouped by pairs that agree. group [V]: a number for each photograph; the largest group has 0.
+    """Photographs in groups; pairs that agree join their photographs.
 
-    contradictions [V]: pairs of the photograph that contradict a photograph of another group. decided [V] bool: whether
-    any pair of it agrees or contradicts. options: the limits.
+    group [V]: the number of each photograph's group; the largest group has 0.
+    contradictions [V]: the number of the photograph's pairs that contradict a photograph of another group.
+    decided [V] bool: whether any of the photograph's pairs agrees or contradicts.
+    options: the limits.
     """
 
     group: np.ndarray
@@ -34,9 +36,9 @@ class PoseGroups:
 
     @property
     def contradictory(self) -> np.ndarray:
-        """Return which photographs have poses that contradict those of the largest group, [V] bool.
+        """Return which photographs [V] bool have poses that contradict the largest group.
 
-        The largest group accuses nobody unless most of the decided photographs are in it.
+        The result is all False unless the largest group holds most of the decided photographs.
         """
         if (self.group == 0).sum() < self.options.majority * self.decided.sum():
             return np.zeros(len(self.group), bool)
@@ -48,7 +50,7 @@ class PoseGroups:
 
 
 def group_by_pose(count: int, judged: Judged, options: PoseCheckOptions = PoseCheckOptions()) -> PoseGroups:
-    """Group so many photographs by the pairs that agree."""
+    """Group `count` photographs by the pairs that agree."""
     agreeing, against = (
         np.array([(pair.one, pair.other) for pair in judged.of(verdict)], np.int64).reshape(-1, 2)
         for verdict in (Verdict.AGREES, Verdict.CONTRADICTS)
@@ -57,7 +59,7 @@ def group_by_pose(count: int, judged: Judged, options: PoseCheckOptions = PoseCh
     label = connected_components(graph, directed=False)[1]
     order = [name for name, _ in Counter(label.tolist()).most_common()]
     group = np.argsort(order)[label]
-    # A photograph that nothing agrees with may itself be the wrong one of a pair: only the largest group accuses.
+    # Of a contradictory pair, only the photograph outside the largest group is taken to be wrong.
     between = against[(group[against] == 0).sum(axis=1) == 1]
     accused = between[group[between] > 0]
     decided = np.zeros(count, bool)
@@ -68,7 +70,7 @@ def group_by_pose(count: int, judged: Judged, options: PoseCheckOptions = PoseCh
 def check_poses(
     names: Sequence[str], features: Sequence[int], judged: Judged, options: InspectionConfig = InspectionConfig()
 ) -> list[Finding]:
-    """Return what contradicts the poses of the photographs of these names. features: their numbers of features."""
+    """Return the findings on contradictory poses; names, features: the photographs' names and numbers of features."""
     groups = group_by_pose(len(names), judged, options.poses)
     agree, against = len(judged.of(Verdict.AGREES)), judged.of(Verdict.CONTRADICTS)
     if len(against) > max(agree, len(names) // 4):
@@ -90,7 +92,7 @@ def check_poses(
                 f"{inside} pairs of photographs look alike, but their cameras see different places",
                 inside,
                 "pairs",
-                "if the object has no repeated parts, the cameras have drifted or their ring does not close: " + _ANEW,
+                "if the object has no repeated parts, the poses have drifted, or their ring does not close: " + _ANEW,
             )
         )
     return found
@@ -133,7 +135,7 @@ def _clusters(names: Sequence[str], groups: PoseGroups, against: Sequence[Pair])
 
 
 def _single(names: Sequence[str], groups: PoseGroups) -> list[Finding]:
-    """Return a finding for the photographs, alone or in twos, whose poses contradict the others'."""
+    """Return a finding for the photographs, alone or in twos, whose poses contradict the others."""
     sizes = np.bincount(groups.group)
     mine = np.flatnonzero(groups.contradictory & (sizes[groups.group] < groups.options.cluster))
     if not len(mine):
@@ -157,8 +159,8 @@ def _less_exact(
 ) -> list[Finding]:
     """Return a finding for the photographs whose poses are a little wrong, by a degree or two.
 
-    Such a pose fits none of its pairs well. The better quarter of them decides: where parts of the object look alike,
-    other pairs are off too, but these fit.
+    Such a pose fits none of its pairs well. The better quarter of its pairs decides. If parts of the object look alike,
+    the other pairs of a correct pose may be wrong too.
     """
     limits, least = options.poses, options.pairs.min_matches
     far = max(limits.less_exact, limits.less_exact_usual * usual_residual(pairs, least))
@@ -182,7 +184,7 @@ def _less_exact(
 
 
 def _inaccurate(pairs: Sequence[Pair], count: int, options: InspectionConfig) -> list[Finding]:
-    """Return a finding where the cameras of so many photographs are not wrong, but less exact than usual."""
+    """Return a finding if the cameras of `count` photographs are not wrong, but less exact than usual."""
     least = options.pairs.min_matches
     matched = sum(pair.own.sum() >= least for pair in pairs)
     middle = usual_residual(pairs, least)
@@ -195,13 +197,13 @@ def _inaccurate(pairs: Sequence[Pair], count: int, options: InspectionConfig) ->
             f"the matches of {matched} pairs have a median error of {middle:.1f} px under the cameras",
             round(middle, 2),
             "px",
-            f"{_ANEW}; 0.5 px or better is usual",
+            f"{_ANEW}; a fit to 0.5 px or better is usual",
         )
     ]
 
 
 def _separate(names: Sequence[str], groups: PoseGroups, features: Sequence[int], min_matches: int) -> list[Finding]:
-    """Return a finding where photographs that have many features fall into groups without a common one."""
+    """Return a finding if many photographs with enough features are outside the largest group."""
     rich = np.array(features) >= 4 * min_matches
     others = rich & groups.decided & (groups.group > 0)
     total = int((rich & groups.decided).sum())
@@ -223,7 +225,7 @@ def _separate(names: Sequence[str], groups: PoseGroups, features: Sequence[int],
 
 
 def check_movement(pairs: Sequence[Pair], options: InspectionConfig = InspectionConfig()) -> list[Finding]:
-    """Return a finding where a part of the photographs does not move with the cameras."""
+    """Return a finding if parts of the photographs do not move as the cameras do."""
     least = options.pairs.min_matches
     matched = [pair for pair in pairs if len(pair.matches) >= least]
     if len(matched) < 5:
@@ -242,6 +244,6 @@ def check_movement(pairs: Sequence[Pair], options: InspectionConfig = Inspection
             f"{share:.0%} of the matches contradict the cameras' motion: they {cause}",
             round(share, 3),
             "share",
-            "give masks of the object, or of what moves (docs/inputs.md, Masks)",
+            "add masks of the object, or of the moving things (docs/inputs.md, Masks)",
         )
     ]

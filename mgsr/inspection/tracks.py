@@ -1,4 +1,4 @@
-"""Points that several photographs share, triangulated with the given cameras and projected back."""
+"""Tracks: points that several photographs share, triangulated with the given cameras and projected back."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mgsr.inspection.triangulation import nearest_points, unit_rays
 class Tracks:
     """Observations of points. points [P,3], in the cameras' frame.
 
-    of_point [O], of_photo [O]: which point each observation is of, and in which photograph. pixels [O,2].
+    of_point [O], of_photo [O]: the indices of each observation's point and photograph. pixels [O,2]: its place.
     """
 
     points: np.ndarray
@@ -29,7 +29,7 @@ class Tracks:
     pixels: np.ndarray
 
     def reprojection(self, cameras: Sequence[Camera]) -> np.ndarray:
-        """Return each photograph's median distance [V] from its observations to the points, pixels; NaN without."""
+        """Return each photograph's median reprojection error [V] in pixels; NaN without observations."""
         medians = np.full(len(cameras), np.nan)
         for index, camera in enumerate(cameras):
             mine = self.of_photo == index
@@ -45,7 +45,7 @@ def find_tracks(
     pairs: Sequence[Pair],
     least: int = InspectionConfig().track,
 ) -> Tracks:
-    """Return the points that at least `least` photographs share by the matches of the pairs."""
+    """Find the points that at least `least` photographs share, from the matches of the pairs."""
     first = np.concatenate([[0], np.cumsum([len(one) for one in features])]).astype(np.int64)
     links = [pair.matches[pair.own] + (first[pair.one], first[pair.other]) for pair in pairs if pair.own.any()]
     edges = np.concatenate(links) if links else np.zeros((0, 2), np.int64)

@@ -1,4 +1,4 @@
-"""Points where the rays of several photographs meet."""
+"""Triangulation of points from several photographs."""
 
 from __future__ import annotations
 
@@ -25,14 +25,15 @@ def nearest_points(origins: np.ndarray, rays: np.ndarray, of_point: np.ndarray, 
     left, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
     np.add.at(left, of_point, across)
     np.add.at(right, of_point, np.einsum("oij,oj->oi", across, origins))
-    left += 1e-9 * np.eye(3)  # rays of one direction
+    left += 1e-9 * np.eye(3)  # parallel rays make the matrix singular
     return np.asarray(np.linalg.solve(left, right[..., None])[..., 0])
 
 
 def spread(cameras: Sequence[Camera], pixels: Sequence[np.ndarray]) -> float:
-    """Return how well pixels [N,2] of several photographs, of the same N points, fit the cameras.
+    """Return how well pixels [N,2] of several photographs, which show the same N points, fit the cameras.
 
-    It is the median distance, pixels, of the triangulated points from the pixels in the photograph that they fit worst.
+    For each photograph, the median distance of the triangulated points from their pixels is computed, in pixels. The
+    result is the largest of these medians.
     """
     count = len(pixels[0])
     rays = np.concatenate([unit_rays(*pair) for pair in zip(cameras, pixels, strict=True)])

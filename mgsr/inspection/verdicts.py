@@ -1,6 +1,6 @@
-"""Whether the matches of a pair of photographs agree with its cameras.
+"""Verdicts on pairs of photographs: whether their matches agree with their cameras.
 
-Epipolar lines can't tell a camera that has moved along them. Three photographs of the same points can.
+Epipolar lines do not reveal that a camera has moved along them. Three photographs of the same points do.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mgsr.inspection.triangulation import spread
 
 
 class Verdict(StrEnum):
-    """What a pair's matches say of its cameras."""
+    """The verdict of a pair's matches on its cameras."""
 
     AGREES = "agrees"
     CONTRADICTS = "contradicts"
@@ -28,7 +28,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Judged:
-    """Pairs with a verdict on each. lines: the verdict by the epipolar lines alone."""
+    """Pairs with their verdicts. lines: the verdicts by the epipolar lines alone."""
 
     pairs: tuple[Pair, ...]
     verdicts: tuple[Verdict, ...]
@@ -68,8 +68,8 @@ def judge(
 ) -> Judged:
     """Return the pairs with their verdicts: by the epipolar lines, and by the points that three photographs share.
 
-    A pair agrees if it is part of three photographs whose rays meet. It contradicts if it is only part of such whose
-    rays miss each other, and is not proved by others.
+    A pair agrees if it belongs to three photographs whose rays meet. A pair contradicts if the rays miss each other in
+    all triples that contain it, and if no other pairs prove it.
     """
     limits = options.verdicts
     usual = min(usual_residual(pairs, options.pairs.min_matches), limits.max_usual)
@@ -110,9 +110,9 @@ def _edges(triple: Triple) -> tuple[tuple[int, int], ...]:
 def _triples(
     cameras: Sequence[Camera], features: Sequence[Features], pairs: Sequence[Pair], least: int
 ) -> list[tuple[Triple, float | None]]:
-    """Return each three photographs that were compared with each other, and by how much their rays miss, in pixels.
+    """Return all triples of photographs that were compared with each other, with the distance of their rays, in pixels.
 
-    None where they share fewer than `least` points.
+    The distance is None if a triple shares fewer than `least` points.
     """
     tables = {(pair.one, pair.other): _table(pair, len(features[pair.one])) for pair in pairs if pair.own.any()}
     after: dict[int, set[int]] = {}
@@ -140,9 +140,10 @@ def _rays_miss(
     triple: Triple,
     least: int,
 ) -> float | None:
-    """Return by how many pixels the rays of three photographs miss; None where they share fewer than `least` points.
+    """Return the distance, in pixels, by which the rays of three photographs miss each other.
 
-    tables [N]: of each pair, the match of each feature of the first photograph, -1 without one.
+    Returns None if the photographs share fewer than `least` points. tables [N]: for each pair, the match of each
+    feature of the first photograph, -1 without a match.
     """
     i, j, k = triple
     first = np.flatnonzero((tables[i, j] >= 0) & (tables[i, k] >= 0))

@@ -148,7 +148,7 @@ def depth_agreement(
 ) -> Term:
     """Return L_depth: the mean over all pixels of ((depth_3D - depth_2D) / unit)^2 where both branches cover.
 
-    Depths [H,W] camera z; covered: two of [H,W], 0 or 1. Gradients flow to both depths.
+    gaussian_depth, surfel_depth [H,W]: camera z; gradients flow to both. covered: a mask [H,W] of each branch, 0 or 1.
     """
     return squares_term(gaussian_depth, surfel_depth, covered, by=gaussian_depth.numel() * unit**2)
 

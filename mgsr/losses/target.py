@@ -33,8 +33,8 @@ class Target:
     def compared(self, rendered: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         """Return a rendering [H,W,...] and its target with the same values at invalid pixels, for a loss.
 
-        At invalid pixels both are the rendering, and no gradient flows. So such pixels cost nothing, and windows that
-        reach over them see no difference there.
+        At invalid pixels both have the rendering's value without a gradient. Such pixels therefore add nothing to a
+        loss, also in windows that contain some of them.
         """
         if self.invalid is None:
             return rendered, target
@@ -54,8 +54,8 @@ class Target:
         return float(np.linalg.norm(self.camera.center))
 
     def covered(self, alpha: Tensor) -> Tensor:
-        """Return the pixels that have a surface, [H,W] float32, 0 or 1; depth and normals mean something only there.
+        """Return a mask [H,W] float32, 0 or 1, of the pixels that show the surface, where depth and normals count.
 
-        They are valid, over half covered by the rendering's alpha [H,W] and, with masks, by the photograph's.
+        These pixels are valid. The rendering's alpha [H,W] exceeds one half there and, with masks, the photograph's.
         """
         return self.valid_weights(covered(alpha, self.alpha))

@@ -27,9 +27,12 @@ _ROWS_AT_ONCE = 256
 class Texels:
     """The texels whose centres lie on a chart.
 
-    size: the picture's height and width. index [T]: flat, in row order. face [T]: of the unwrapped mesh at each, and
-    shares [T,3] its barycentric coordinates there. points, normals [T,3]: the nearest place of the full surface, and
-    its unit normal; where that faces another way, as beyond a thin sheet, the unwrapped mesh's.
+    size: the picture's height and width.
+    index [T]: the flat indices of the texels, in row order.
+    face [T]: the face of the unwrapped mesh at each texel.
+    shares [T,3]: the barycentric coordinates of the texel in that face.
+    points [T,3], normals [T,3]: the nearest point of the full surface, and its unit normal. If that normal faces
+    another way, as on the other side of a thin sheet, both are those of the unwrapped mesh.
     """
 
     size: tuple[int, int]
@@ -45,7 +48,7 @@ class Texels:
             yield slice(start, start + _TEXELS_AT_ONCE)
 
     def picture(self, values: np.ndarray) -> np.ndarray:
-        """Return the picture [H,W,...] of values [T,...]; each texel beside the charts takes the nearest one's."""
+        """Return the picture [H,W,...] of values [T,...]; texels outside the charts take the nearest texel's value."""
         height, width = self.size
         filled = np.zeros((height * width, *values.shape[1:]), values.dtype)
         filled[self.index] = values
@@ -60,9 +63,9 @@ class Texels:
 
 
 def find_texels(unwrapped: UnwrappedMesh, full: Mesh, same_side: float = TextureOptions().same_side) -> Texels:
-    """Find the texels of an unwrapped mesh, and their places on the full surface, with its normals.
+    """Find the texels of an unwrapped mesh, and the points and normals of the full surface at them.
 
-    same_side: the cosine between the normals of both below which they are different sides of a sheet.
+    same_side: if the cosine between the normals of both meshes is lower, they are different sides of a sheet.
     """
     index, face, shares = _charted(unwrapped)
     places = interpolated(unwrapped.vertices, unwrapped.faces[face], shares)
@@ -105,9 +108,9 @@ def bake_normals(texels: Texels, unwrapped: UnwrappedMesh, min_z: float = Textur
     """Return the normals [T,3] of the full surface in the tangent space of the unwrapped mesh, unit.
 
     x runs along the tangent, y along the bitangent, z along the normal. As in MikkTSpace, the three are interpolated
-    and not made unit again, so that a renderer that does the same gets the full surface's normals.
+    without normalisation. A renderer that does the same reproduces the full surface's normals.
 
-    min_z: the least z; a renderer shows black where the map looks away from the surface.
+    min_z: the least z, because renderers show black where the mapped normal points into the surface.
     """
     baked = np.empty((len(texels.index), 3), np.float32)
     axes = np.stack([unwrapped.tangents[:, :3], unwrapped.bitangents(), unwrapped.normals], axis=2)

@@ -81,7 +81,7 @@ def drop_unseen(mesh: Mesh, seen: np.ndarray, whole_pieces: bool) -> Mesh:
 
 
 def _grown(marked: np.ndarray, mesh: Mesh) -> np.ndarray:
-    """Mark the neighbours of marked vertices [V] bool too, as creases hide single vertices of a visible surface."""
+    """Mark the neighbours of marked vertices [V] bool too, because creases hide single visible vertices."""
     grown = marked.copy()
     grown[mesh.faces[marked[mesh.faces].any(1)]] = True
     return grown

@@ -25,8 +25,8 @@ from mgsr.parallel import map_ahead
 class Agreement:
     """The result of comparing points with all views.
 
-    moved: the points [P] on the mean surface of the confirming views. agreed [P] bool: at most one view contradicts the
-    point, or no more than confirm it.
+    moved: the points [P] on the mean surface of the confirming views. agreed [P] bool: True where at most one view
+    contradicts the point, or where no more views contradict it than confirm it.
     """
 
     moved: OrientedPoints
@@ -47,10 +47,11 @@ def compare_views(
     behind it, or none. The limit is larger where the surface is slanted. A view confirms a point that faces it and lies
     within `reach` times that limit of its surface. A view is silent about points that its surface or its mask hides.
 
-    Confirming views move the point along its normal to their mean surface, and turn its normal to their mean normal. A
-    view's weight falls smoothly to 0 at its border, so neighbouring points are averaged over nearly the same views, and
-    differences between the views' depths do not become noise on the surface. For the same reason, pixels count here
-    down to half of rules.min_cos, with little weight.
+    Confirming views move the point along its normal to their mean surface, and turn its normal to their mean normal.
+
+    A view's weight falls smoothly to 0 at its border. Neighbouring points are therefore averaged over nearly the same
+    views, and differences between the views' depths do not become noise on the surface. For the same reason, pixels
+    count down to half of rules.min_cos, with a low weight.
     """
     rules = replace(rules, min_cos=rules.min_cos / 2)
     count = len(points)

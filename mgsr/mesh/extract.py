@@ -43,14 +43,17 @@ def extract_mesh(
 ) -> ReconstructedMesh:
     """Extract the surface that the views show, in their frame, and finish it in steps (`mgsr.mesh.steps`).
 
-    silhouettes: of the training photographs' masks, if the scene has masks; the mesh then lies inside them, and its
-    contours coincide with theirs. dissent: the number of silhouettes that may exclude a part of the mesh.
+    silhouettes: of the training photographs' masks, if the scene has masks. The mesh then lies inside them, and its
+    contours coincide with theirs.
+    photographs: the training views, which refine the mesh.
+    threads: the number of cores to use; None: all.
+    go_on: returns whether there is time for another round of refinement.
 
-    photographs: the training views, which refine the mesh. threads: the cores to use;
-    None: all. go_on: returns whether there is time for another round of refinement. start: the surface on which
-    training began. It replaces the trained surface if the photographs clearly prefer it. If the trained surface is
-    torn, `start` fitted to the views replaces it. ground [4]: the plane on which the object stands, in the views'
-    frame, where the mesh ends; None if it is unknown. steps: those that finish the mesh; None: all.
+    start: the surface on which training began. It replaces the trained surface if the photographs clearly prefer it.
+    If the trained surface is torn, `start` fitted to the views replaces it.
+    steps: the steps that finish the mesh; None: all.
+    ground [4]: the plane on which the object stands, in the views' frame, where the mesh ends; None if it is unknown.
+    dissent: the number of silhouettes that may exclude a part of the mesh.
     expert: the options of all algorithms.
 
     Raises MeshError, with the reason, if there is no surface.

@@ -1,4 +1,4 @@
-"""Pictures of a textured mesh in an environment, by ray casting, as viewers of glTF draw it: without cast shadows."""
+"""Pictures of a textured mesh in an environment, by ray casting. Like glTF viewers, they show no cast shadows."""
 
 from __future__ import annotations
 
@@ -22,20 +22,23 @@ from mgsr.shading.observations import sample_image
 
 DIELECTRIC = 0.04  # reflectance of glTF's dielectrics at normal incidence
 SAMPLES = 2  # along each side of a pixel
-MOST_TEXELS = 1024  # along a side of a map: small pictures show no more
-# Degrees around up and above the horizon, the cosine from the middle to the edge, and the radiance.
+MOST_TEXELS = 1024  # along a side of a map; small pictures show no more detail
+# For each soft box: its azimuth and its elevation in degrees, the cosine of its angular radius, and its radiance.
 SOFT_BOXES = ((40, 40, 0.92, 9.0), (-75, 15, 0.94, 2.0), (170, 30, 0.95, 4.0))
-SOFT_EDGE = 0.03  # in the cosine, over which the light of a soft box fades
+SOFT_EDGE = 0.03  # the width, in the cosine, of the border over which a soft box fades
 # The cosine lobe's share of each spherical harmonic up to degree 2. Source: Ramamoorthi and Hanrahan, 2001.
 COSINE_LOBE = np.repeat([1.0, 2 / 3, 1 / 4], [1, 3, 5])
 
 
 @dataclass(frozen=True)
 class SeenSurface:
-    """What the rays of one camera hit of a textured mesh.
+    """The surface of a textured mesh where the rays of one camera hit it.
 
-    hit [H,W] bool: the rays that hit, SAMPLES^2 for each pixel. Of those, albedo [P,3] linear, normals [P,3] unit, with
-    the normal map, eye [P,3]: unit, towards the camera, and occlusion [P]: the visible share of the sky.
+    hit [H,W] bool: which rays hit; each pixel has SAMPLES^2 rays. The other arrays are of the P hits.
+    albedo [P,3]: linear.
+    normals [P,3]: unit, with the normal map.
+    eye [P,3]: unit, towards the camera.
+    occlusion [P]: the visible share of the sky.
     """
 
     hit: np.ndarray
@@ -61,7 +64,7 @@ class SeenSurface:
         return np.asarray(self.albedo * irradiance(light, self.normals))
 
     def _glossy(self, light: np.ndarray) -> np.ndarray:
-        """Return what the hits [P,3] scatter and mirror of the light."""
+        """Return the light [P,3] that the hits scatter and mirror."""
         metallic, height = self.material.metallic, len(light)
         frontal = DIELECTRIC * (1 - metallic) + metallic * self.albedo
         black, white = (mirrored_share(self._cosines, self.material.roughness, each)[:, None] for each in (0.0, 1.0))
@@ -91,7 +94,7 @@ def look_at_textured(mesh: TexturedMesh, camera: Camera) -> SeenSurface:
     frame = np.einsum("pkij,pk->pij", axes[corners], shares)
     turned = 2 * _read(mesh.normal_map, uvs) - 1
     normals = unit_vectors(np.einsum("pij,pj->pi", frame, turned))
-    # The surface is two-sided: what is seen from behind has its normal there.
+    # The surface is two-sided: where a ray hits its back, the normal is flipped towards the camera.
     behind = (mesh.face_crosses[hits.face[hit]] * eye).sum(axis=1, keepdims=True) < 0
     normals = np.where(behind, -normals, normals)
     albedo = srgb_to_linear(_read(mesh.base_color, uvs))
@@ -99,7 +102,10 @@ def look_at_textured(mesh: TexturedMesh, camera: Camera) -> SeenSurface:
 
 
 def irradiance(light: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return the irradiance [P,3], over pi, of a matte surface with unit normals [P,3] in an environment [h,2h,3]."""
+    """Return the irradiance [P,3], over pi, of a matte surface with unit normals [P,3] in an environment.
+
+    light [h,2h,3]: as in `SeenSurface.lit`.
+    """
     directions = cell_directions(len(light)).reshape(-1, 3)
     areas = np.sqrt(1 - directions[:, 2] ** 2)
     harmonics = real_harmonics(directions).T @ (areas[:, None] * light.reshape(-1, 3)) / areas.sum()
@@ -107,10 +113,11 @@ def irradiance(light: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def studio_light(up: np.ndarray, front: np.ndarray, angle: float, height: int = 32) -> np.ndarray:
-    """Return a studio's light [height,2*height,3]: a grey room with three soft boxes, of which one is bright.
+    """Return a studio's light [height,2*height,3]: a grey room with one bright soft box and two weaker ones.
 
-    up, front: unit directions [3], perpendicular to each other. angle: degrees by which the studio is turned around up,
-    anticlockwise as seen from there; at 0, the bright box is on the right of who looks from the front.
+    up, front: unit directions [3], perpendicular to each other.
+    angle: the degrees by which the studio is turned around `up`, anticlockwise as seen from above. At 0, the bright
+    box is on the right of a viewer in front of the object.
     """
     directions, side = cell_directions(height), np.cross(up, front)
     light = 0.1 + 0.1 * np.maximum(directions @ up, 0)
@@ -122,7 +129,7 @@ def studio_light(up: np.ndarray, front: np.ndarray, angle: float, height: int = 
 
 
 def _read(picture: np.ndarray, uvs: np.ndarray) -> np.ndarray:
-    """Return a picture's values [P,C], 0..1, at texture coordinates [P,2], bilinearly; the picture is uint8 [H,W,C].
+    """Interpolate a picture [H,W,C] uint8 bilinearly at texture coordinates `uvs` [P,2]; return values [P,C] in 0..1.
 
     A picture with more than MOST_TEXELS along a side is reduced first.
     """

@@ -18,8 +18,10 @@ from mgsr.shading.material import Material
 class TexturedMesh(UnwrappedMesh):
     """An unwrapped mesh with a physically based material (metallic and roughness, as in glTF).
 
-    base_color [H,W,3]: uint8 sRGB. normal_map [H,W,3]: uint8, tangent space, 0..255 for -1..1. occlusion [H,W]: uint8,
-    the visible share of the sky. material: what is the same on the whole surface.
+    base_color [H,W,3]: uint8 sRGB.
+    normal_map [H,W,3]: uint8, tangent space, 0..255 for -1..1.
+    occlusion [H,W]: uint8, the visible share of the sky.
+    material: the properties that are the same on the whole surface.
     """
 
     base_color: np.ndarray

@@ -1,7 +1,7 @@
 """The choice between the trained surface and the surface on which training began.
 
-On a correct surface the photographs are consistent or, if it mirrors its surroundings, one environment map explains
-them. Training does not enforce this: dents that imitate reflections have no cost.
+On a correct matte surface the photographs agree. On a correct mirroring surface one environment map explains them.
+Training enforces neither: dents that imitate reflections have no cost.
 """
 
 from __future__ import annotations

@@ -126,7 +126,7 @@ def _baked(
 
 
 def _albedo_scale(colors: np.ndarray, material: Material, options: TextureOptions) -> np.ndarray:
-    """Return the factors [3] that make albedo of colours [V,3], linear, in the unit of the photographs.
+    """Return the factors [3] that convert linear colours [V,3], in the photographs' unit, to albedo.
 
     They are the inverse of the mean light, derived from the gloss of a dielectric, or 1 if the mean light is unknown.
     Clipped lamps hide a part of the light, so the factors are reduced until nearly all albedo is at most `brightest`.
@@ -142,7 +142,7 @@ def _albedo_scale(colors: np.ndarray, material: Material, options: TextureOption
 def _reduced(full: ReconstructedMesh, faces: int, same_side: float) -> Mesh:
     """Return the surface with at most `faces` faces, and with the full surface's normals.
 
-    same_side: as for `find_texels`.
+    same_side: as in `find_texels`.
     """
     if len(full.faces) <= faces:
         return Mesh(full.vertices, full.faces).with_normals(full.normals)

@@ -55,14 +55,14 @@ def _packed(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, int]]:
     """Pack charts into one atlas.
 
-    texel: the size of a texel, or with `fill` whatever makes the atlas about `limit` texels wide. padding: the texels
-    between two charts. They take the nearest chart's values, so that neither bilinear sampling nor mipmaps mix in a
-    background.
+    texel: the size of a texel; with `fill`, its size is chosen so that the atlas is about `limit` texels wide. padding:
+    the texels between two charts. They take the nearest chart's values, so that neither bilinear sampling nor mipmaps
+    mix in a background.
 
     Returns for each new vertex the charts' vertex [V], the faces [F,3] of new vertices, texture coordinates [V,2] 0..1,
     and the atlas's height and width.
     """
-    import xatlas  # late: it is only needed here
+    import xatlas  # imported here, because nothing else needs it
 
     atlas = xatlas.Atlas()
     atlas.add_uv_mesh(charts.places.astype(np.float32), charts.faces.astype(np.uint32))
@@ -81,9 +81,10 @@ def tangent_space(mesh: Mesh, places: np.ndarray) -> np.ndarray:
     """Return the tangents [V,4] of a mesh with its normals: unit tangents, and the sign of the bitangents.
 
     places [V,2]: the vertices' places in the picture, x right and y down. A vertex's tangent is the mean of its faces'
-    tangents in the plane of its normal, each weighted by its angle there (Mikkelsen, 2008: MikkTSpace). MikkTSpace
-    repeats vertices between faces of opposite orientation; here the orientation of most of the angle counts, as a
-    chart has only one but for tiny faces.
+    tangents in the plane of its normal, each weighted by the face's angle there (MikkTSpace; Mikkelsen, 2008).
+
+    MikkTSpace repeats vertices between faces of opposite orientation. Here the orientation with the larger total angle
+    counts, because all but tiny faces of a chart have the same orientation.
     """
     faces, normals = mesh.faces, mesh.double_normals
     corners, flat = mesh.vertices[faces], places[faces].astype(np.float64)

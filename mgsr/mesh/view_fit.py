@@ -1,6 +1,6 @@
 """Registration of a mesh to the surface that rendered views show.
 
-The mesh keeps its faces. So, unlike an extraction from points, both sides of a thin sheet stay.
+The mesh keeps its faces. Both sides of a thin sheet therefore remain, unlike in an extraction from points.
 """
 
 from __future__ import annotations

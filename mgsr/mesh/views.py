@@ -46,7 +46,7 @@ class SurfaceView:
 
 
 def sample(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Interpolate image [H,W,...] bilinearly at pixel coordinates [P,2] (centres at +0.5), held at the border."""
+    """Interpolate image [H,W,...] bilinearly at pixels [P,2] (centres at +0.5), clamped at the border."""
     height, width = image.shape[:2]
     x = np.clip(pixels[:, 0] - 0.5, 0, width - 1)
     y = np.clip(pixels[:, 1] - 0.5, 0, height - 1)

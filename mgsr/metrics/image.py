@@ -27,7 +27,7 @@ def decibels(error: float) -> float:
 
 
 def psnr(truth: np.ndarray, image: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Return the PSNR, dB, over all pixels or those where mask [H,W] is True."""
+    """Return the PSNR, dB, of image [H,W,3] against truth [H,W,3], over all pixels or where mask [H,W] is True."""
     squares = (truth.astype(np.float64) - image) ** 2
     return decibels(float((squares if mask is None else squares[mask]).mean()))
 
@@ -35,7 +35,7 @@ def psnr(truth: np.ndarray, image: np.ndarray, mask: np.ndarray | None = None) -
 def psnr_after_gain(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> float:
     """Return the PSNR, dB, over the mask's pixels after the gain per channel that fits the image best to the truth.
 
-    The images are [H,W,3]; mask [H,W] bool.
+    truth, image [H,W,3]; mask [H,W] bool.
     """
     target, given = truth[mask].astype(np.float64), image[mask].astype(np.float64)
     gain = (target * given).sum(0) / np.maximum((given**2).sum(0), 1e-9)
@@ -43,7 +43,7 @@ def psnr_after_gain(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> f
 
 
 def ssim(truth: np.ndarray, image: np.ndarray, valid: np.ndarray | None = None) -> float:
-    """Return the mean structural similarity of two images [H,W,3] over the channels and the pixels.
+    """Return the mean structural similarity of truth and image [H,W,3] over the channels and the pixels.
 
     The window is Gaussian, 11 x 11 with sigma 1.5, and the constants are 0.01 and 0.03. A pixel counts if its whole
     window lies inside the image, on valid pixels [H,W]; the result is NaN if no pixel counts. Source: Wang et al. 2004.
@@ -70,8 +70,8 @@ def image_metrics(
     """Return the metrics of an image by name: psnr, ssim and, where the truth has an alpha, psnr_fg and psnr_fg_gain.
 
     The first two are on the background, the others on the object's pixels.
-    truth, image: RGB or straight-alpha RGBA, float 0..1 or uint8. valid [H,W] bool: the pixels that the truth shows,
-    None for all; others count in none of them.
+    truth, image [H,W,3 or 4]: RGB or straight-alpha RGBA, float 0..1 or uint8. valid [H,W] bool: the valid pixels of
+    the truth, None for all; other pixels count in no metric.
     """
     truth, image = unit(truth), unit(image)
     target, given = composited(truth, background), composited(image, background)

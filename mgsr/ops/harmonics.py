@@ -49,7 +49,7 @@ def check_degree(coeffs: torch.Tensor, degree: int) -> None:
 class _Harmonics(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, coeffs: torch.Tensor, means: torch.Tensor, center: torch.Tensor, degree: int) -> torch.Tensor:
-        """Return the colours [N,3] of coefficients [N,K,3] and means [N,3], seen from a centre [3]."""
+        """Return the colours [N,3] of coeffs [N,K,3] and means [N,3], seen from a center [3]."""
         coeffs, means, center = plain(coeffs), plain(means), plain(center)
         ctx.launcher, ctx.degree = launcher_for(means), degree
         rgb = harmonics(ctx.launcher, Harmonics(coeffs=coeffs, means=means, center=center, degree=degree))
@@ -84,7 +84,10 @@ def harmonics_vjp(
     v_rgb: torch.Tensor,
     v_means: torch.Tensor | None,
 ) -> torch.Tensor:
-    """Return the gradient of the coefficients [N,K,3], and add that of the means to v_means [N,3], if given."""
+    """Return the gradient of the coefficients [N,K,3]; add the gradient of the means to v_means [N,3], if given.
+
+    rgb, v_rgb [N,3]: the colours and their gradient.
+    """
     v_coeffs = torch.empty_like(splats.coeffs)
     kernels = _harmonics if launcher is None else HarmonicsKernels(launcher)
     kernels.backward(splats, rgb, v_rgb, v_coeffs, v_means)

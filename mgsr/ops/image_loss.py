@@ -24,7 +24,10 @@ def image_loss(
     mask: torch.Tensor | None = None,
     region: Region | None = None,
 ) -> torch.Tensor:
-    """Return the value [] of `image_loss_term`, whose arguments these are; gradients flow."""
+    """Return the value [] of `image_loss_term`; gradients flow.
+
+    image, target [H,W,3] and mask [H,W]: as in `image_loss_term`, as are the other arguments.
+    """
     return scalar(image_loss_term(image, target, l1_weight, mask, region))
 
 

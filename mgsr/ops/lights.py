@@ -43,7 +43,7 @@ def apply_shading_vjp(
 ) -> tuple[Tensor, Tensor]:
     """Return the gradients of unlit [H,W,3] and alpha [H,W], given that of the image, v_image [H,W,3].
 
-    v_alpha [H,W]: a gradient to add to that of alpha.
+    background [3]; shading [H,W]. v_alpha [H,W]: a gradient to add to that of alpha; None: 0.
     """
     v_unlit = torch.empty_like(v_image)
     if launcher is not None:
@@ -62,7 +62,7 @@ def with_reflection(
 ) -> tuple[Tensor, Tensor]:
     """Return the image C_3D [H,W,3] = transmitted + weight * reflected, and reflected [H,W,3] = own + environment.
 
-    weight [H,W]. Of own and environment one may be None.
+    weight [H,W]; transmitted, own, environment [H,W,3]. One of own and environment may be None.
     """
     if launcher is not None:
         color, reflected = torch.empty_like(transmitted), torch.empty_like(transmitted)
@@ -85,7 +85,7 @@ def with_reflection_vjp(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return the gradients of transmitted, weight, own and environment, given that of the image, v_color [H,W,3].
 
-    before: gradients to add to the first three.
+    reflected [H,W,3] and weight [H,W]: as in `with_reflection`. before: gradients to add to the first three.
     """
     if launcher is not None:
         v_transmitted, v_own, v_environment = (torch.empty_like(v_color) for _ in range(3))

@@ -14,7 +14,10 @@ from mgsr.ops.terms import Slope, Term, Total, needs_gradient, scalar
 
 
 def edge_aware_tv(values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor | None = None) -> torch.Tensor:
-    """Return the value [] of `edge_aware_tv_term`, whose arguments these are; gradients flow."""
+    """Return the value [] of `edge_aware_tv_term`; gradients flow.
+
+    values [H,W] or [H,W,C], guide [H,W,3] and mask [H,W]: as in `edge_aware_tv_term`.
+    """
     return scalar(edge_aware_tv_term(values, guide, mask))
 
 
@@ -24,11 +27,11 @@ def edge_aware_tv_term(values: torch.Tensor, guide: torch.Tensor, mask: torch.Te
     The pairs of both axes form one mean; the guide's absolute difference is averaged over its channels.
 
     values: [H, W] or [H, W, C]; gradients flow. guide: [H, W, 3]; no gradient.
-    mask: [H, W] weights >= 0 or None; a pair counts by the product of its pixels' weights, so that with zeros and ones
-    only pairs count that lie inside with both pixels. Without a pair (one pixel, an empty mask) the result is 0.
+    mask: [H, W] weights >= 0 or None. The weight of a pair is the product of its pixels' weights. With zeros and ones,
+    only pairs with both pixels inside count. Without a pair (one pixel, an empty mask) the result is 0.
 
-    A NaN in values makes the result NaN; gradients are NaN at that pixel and its neighbours. Same bytes for any thread
-    count.
+    A NaN in values makes the result NaN; gradients are NaN at that pixel and its neighbours. The result has the same
+    bytes for any thread count.
 
     Raises TensorError for wrong shapes or dtypes.
     Source: method, "TV".

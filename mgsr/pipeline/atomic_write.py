@@ -1,4 +1,4 @@
-"""Atomic writes: results appear whole or not at all, written beside their place, then moved there."""
+"""Atomic writes: a result is written beside its place and then moved there, so that no part of one ever appears."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def atomic_write(target: Path) -> Iterator[Path]:
     If the block succeeds, the path replaces `target`: a file replaces a file, a folder a folder. If it fails, the path
     is removed. Where `target` is a link, the link's destination is replaced.
 
-    Raises ConfigError where a file would take a folder's place or the other way round, and for places that can't be
-    replaced: devices, and the folder that the program runs in.
+    Raises ConfigError if a file would replace a folder or a folder a file, and for places that can't be replaced:
+    devices, and folders that contain the current folder.
     """
     place = _place(target)
     place.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The choice of the device that a run computes on, and the way in which torch takes a card's memory."""
+"""The choice of a run's device, and the settings of torch's memory allocator on a GPU."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch
 from mgsr.errors import ConfigError, GpuError
 from mgsr.native.cuda.launcher import CudaLauncher, cuda_launcher
 
-# Each sets the allocator by itself; torch reads the first two in turn.
+# Variables by which users configure the allocator. Torch reads the first that is set of the first two.
 OF_USER = ("PYTORCH_CUDA_ALLOC_CONF", "PYTORCH_ALLOC_CONF", "PYTORCH_NO_CUDA_MEMORY_CACHING")
 EXPANDABLE = "expandable_segments:True"
 
@@ -39,8 +39,8 @@ class Device(StrEnum):
 def pick_device(name: str) -> Device:
     """Return the device to use, cpu or cuda, and prepare torch's allocator for a card.
 
-    Raises ConfigError for an unknown name, and where cuda is asked for and torch sees no card; GpuError for a card that
-    can't be used (auto falls back to the processor then).
+    Raises ConfigError for an unknown name, and for cuda if torch sees no card. Raises GpuError for a card that can't
+    be used; auto then falls back to the CPU.
     """
     if name not in tuple(Device):
         raise ConfigError(f"device {name!r}: expected one of {', '.join(Device)}")

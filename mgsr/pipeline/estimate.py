@@ -1,4 +1,4 @@
-"""What a run on a scene would take: seconds and memory at each preset, on this machine."""
+"""Estimates of the time and the memory that a run on a scene would take at each preset, on this machine."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from mgsr.pipeline.time_budget import cost_factors
 from mgsr.start.points import StartingPoints, StartSource
 from mgsr.training.probe import probe
 
-_RADIUS = 0.5  # of the ball on which the splats of the probe lie, in the scene's frame
+_RADIUS = 0.5  # the radius, in the scene's frame, of the ball on which the timed splats lie
 
 
 def estimate_presets(
@@ -34,7 +34,7 @@ def estimate_presets(
     progress: EventCallback = ignore,
     should_stop: StopCheck = never,
 ) -> list[Estimate]:
-    """Return what a run on a scene, or on the path of one, would take at each preset.
+    """Estimate the time and the memory of a run on a scene, or on the path of one, at each preset.
 
     config: the settings; those that differ from its preset's are kept for every preset. The photographs are read, and
     some iterations of training are timed. Raises the errors of `run_scene` before training.
@@ -52,9 +52,9 @@ def write_estimate(
     progress: EventCallback = ignore,
     should_stop: StopCheck = never,
 ) -> Path:
-    """Write `out`/estimate.json: the estimate of each preset, and the check of the photographs; return its path.
+    """Write the estimate of each preset and the check of the photographs to `out`/estimate.json; return its path.
 
-    Earlier reports in `out` are removed. Raises as `estimate_presets`.
+    Earlier reports in `out` are removed. Raises the errors of `estimate_presets`.
     """
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)

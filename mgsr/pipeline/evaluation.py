@@ -1,4 +1,4 @@
-"""Scores of a run: its test renders against the photographs, its mesh against the truth, where there is one."""
+"""Scores of a run: of its test renders against the photographs, and of its mesh against the true surface."""
 
 from __future__ import annotations
 
@@ -28,10 +28,12 @@ MATTE_FOLDER = "test_matte"
 class ImageScores:
     """The scores of the test renders against the photographs, over all pixels that the photographs show.
 
-    psnr_test and ssim_test are on the background, None without test views. psnr_fg_test and psnr_fg_gain_test are on
-    the object's pixels, None without masks. psnr_whole_test compares renders before the background of a found object
-    with the whole photographs, None without such a background. views: each view's values. split: None without matte
-    test views.
+    psnr_test, ssim_test: of all pixels, before a plain background; None without test views.
+    psnr_fg_test, psnr_fg_gain_test: of the object's pixels; None without masks.
+    psnr_whole_test: of renders before a found object's trained background, against the whole photographs; None without
+    such a background.
+    views: each view's scores.
+    split: the scores of the light split; None without matte test views.
     """
 
     psnr_test: float | None
@@ -44,12 +46,12 @@ class ImageScores:
 
     @property
     def optional(self) -> dict[str, Any]:
-        """Return all but psnr_test and ssim_test, where they exist, by name."""
+        """Return the existing scores other than psnr_test and ssim_test, by name."""
         names = ("psnr_fg_test", "psnr_fg_gain_test", "psnr_whole_test", "views", "split")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     def to_json(self) -> dict[str, Any]:
-        """Return the scores that exist, by name, as plain types; psnr_test and ssim_test in any case."""
+        """Return the existing scores by name, as plain types; psnr_test and ssim_test are always included."""
         split = {} if self.split is None else {"split": asdict(self.split)}
         return {"psnr_test": self.psnr_test, "ssim_test": self.ssim_test} | self.optional | split
 
@@ -72,7 +74,7 @@ def image_scores(rendered: Sequence[RenderedView], scene: Scene, background: Col
 
 
 def find_truth(scene: Scene) -> TrueSurface | None:
-    """Load the true surface, in the user's frame, where a `mesh_gt.ply` lies in the scene's folder."""
+    """Load the true surface from `mesh_gt.ply` in the scene's folder, in the user's frame; None without that file."""
     to_user = scene.user_from_scene.camera_to_user
     return load_truth(scene.root, [to_user(view.camera) for view in scene.train])
 
@@ -134,9 +136,9 @@ def _split_view(image: RenderedView, view: View, scene: Scene) -> SplitScore | N
 
 
 def off_white(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Remove a white background from an image [H,W,3] with alpha [H,W], both uint8: straight colours, float 0..1.
+    """Remove a white background from an image [H,W,3] with alpha [H,W], both uint8; return straight colours 0..1.
 
-    It serves photographs without their masks, so that their silhouettes are scored as with masks.
+    It lets photographs without masks be scored like photographs with masks.
     """
     cover = alpha[..., None] / 255.0
     return np.clip((image / 255.0 - (1 - cover)) / np.maximum(cover, 1 / 255), 0, 1)

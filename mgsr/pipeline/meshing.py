@@ -31,8 +31,9 @@ def make_mesh(
 ) -> ReconstructedMesh:
     """Extract the surface, in the user's frame.
 
-    go_on: whether there is time for another round of refinement; start: as for `extract_mesh`. Raises MeshError, with
-    the reason, where no surface is found.
+    go_on: returns whether there is time for another round of refinement. start: as for `extract_mesh`.
+
+    Raises MeshError, with the reason, if no surface is found.
     """
     views = surface_views(model, scene, config)
     masked = masked_scene(model, scene, config)

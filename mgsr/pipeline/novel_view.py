@@ -1,4 +1,4 @@
-"""A reconstruction seen by any camera."""
+"""Rendering of a reconstruction from any camera."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mgsr.export.renders import Rendering
 from mgsr.pipeline.reconstruction import Reconstruction
 from mgsr.pipeline.rendering import render_camera
 
-# How far a pose's rotation may be from one: files keep seven digits.
+# The largest deviation of a pose's rotation matrix from a rotation. Files keep seven digits.
 _RIGID = 1e-4
 
 
@@ -24,8 +24,8 @@ def render(result: Reconstruction, camera: Camera | View) -> Rendering:
     rendered as its photograph was taken; its camera is in the scene's normalised frame. The images are float32, depth
     is in the capture's unit, and normals are unit vectors.
 
-    Raises ConfigError for another kind of argument and for a View where an object was found, and TensorError for an
-    invalid camera: a pose that is not rigid, numbers that are not finite, an empty image.
+    Raises ConfigError for an argument of another type, and for a View if an object was found. Raises TensorError for
+    an invalid camera: a pose that is not rigid, numbers that are not finite, or an empty image.
     """
     if not isinstance(result, Reconstruction):
         raise ConfigError(f"result: expected a Reconstruction, got {type(result).__name__}")
@@ -48,7 +48,7 @@ def render(result: Reconstruction, camera: Camera | View) -> Rendering:
 
 
 def _checked(camera: Camera) -> Camera:
-    """Return a camera with float64 arrays. Raises TensorError where it is none."""
+    """Return the camera with float64 arrays. Raises TensorError if it is invalid."""
     K, pose = np.asarray(camera.K, np.float64), np.asarray(camera.cam_from_world, np.float64)
     for name, array, shape in (("K", K, (3, 3)), ("cam_from_world", pose, (4, 4))):
         if array.shape != shape or not np.isfinite(array).all():

@@ -22,9 +22,9 @@ from mgsr.segmentation.object_masks import FoundObject
 def write_object(out: Path, scene: Scene, found: FoundObject) -> None:
     """Write masks/NAME.png of all views, and object.json.
 
-    The masks are as MGSR reads them beside photographs: corrected ones can be given back. object.json has the corners
-    of the object's box and its support plane in the user's frame, and by each training view's name how well its mask
-    agrees with the others.
+    The masks have the form in which MGSR reads masks beside photographs, so users can correct them and run again.
+    object.json has the corners of the object's box and its support plane, both in the user's frame. For each training
+    view, by name, it has the agreement of the view's mask with the others.
     """
     with atomic_write(out / MASKS) as folder:
         for (_, name), mask in zip(_names(scene), [*found.train, *found.test], strict=True):
@@ -43,7 +43,7 @@ def ground_of(scene: Scene, found: FoundObject) -> np.ndarray | None:
 
 
 def require_place_for_masks(out: Path) -> None:
-    """Raise ConfigError, before any work, if `out` has a folder of masks that no run has written."""
+    """Check, before any work, that `out` has no folder of masks from elsewhere. Raises ConfigError if it has one."""
     if (out / MASKS).exists() and not (out / OBJECT).is_file():
         raise ConfigError(
             f"{out / MASKS}: this folder exists and does not belong to a run of MGSR; choose another folder for the "
@@ -52,7 +52,7 @@ def require_place_for_masks(out: Path) -> None:
 
 
 def clear_object(out: Path) -> None:
-    """Remove an earlier run's files of an object; masks that no run has written stay."""
+    """Remove an earlier run's files of an object; masks from elsewhere stay."""
     (out / BACKGROUND).unlink(missing_ok=True)
     if (out / OBJECT).is_file():
         shutil.rmtree(out / MASKS, ignore_errors=True)
@@ -60,9 +60,9 @@ def clear_object(out: Path) -> None:
 
 
 def with_found_object(out: Path, scene: Scene) -> Scene:
-    """Return the scene with the masks that the run in `out` found, in the object's frame; unchanged without such.
+    """Add the masks that the run in `out` found, in the object's frame; without such masks, return the scene unchanged.
 
-    Raises MgsrError where a mask is missing or of another size, and SceneError for files that are no images.
+    Raises MgsrError if a mask is missing or has another size, and SceneError for files that are not images.
     """
     if not (out / OBJECT).is_file():
         return scene
@@ -73,7 +73,7 @@ def with_found_object(out: Path, scene: Scene) -> Scene:
 
 
 def mask_agreement(out: Path) -> dict[str, float]:
-    """Return how well each mask agrees with the others, 0..1, by the training view's name; empty without an object."""
+    """Return each mask's agreement with the others, 0..1, by the training view's name; empty without an object."""
     if not (out / OBJECT).is_file():
         return {}
     return dict(json.loads((out / OBJECT).read_text())["agreement"])

@@ -1,4 +1,4 @@
-"""Preprocessing of a run: the scene, its exposures, and where splats begin."""
+"""Preprocessing of a run: reading the scene, its exposures, its object, its light, and its starting points."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ LATER = ("exposure", "object", "object_box", "check")  # settings of DataConfig 
 def take_scene(
     given: Path | Scene, out: Path | None, config: Config, step: Steps, resume: bool = False
 ) -> CheckedScene:
-    """Return the scene, loaded if a path is given, and inspected; remove an earlier run's reports from `out`, if given.
+    """Load the scene if a path is given, and inspect it; remove an earlier run's reports from `out`, if given.
 
-    Where the photographs have no cameras, these are searched for first, and left in `out`. resume: use cameras that are
-    there already, and go on with a search that was interrupted.
+    If the photographs have no cameras, the function first searches for them and leaves them in `out`. resume: use
+    cameras that are already there, and continue an interrupted search.
 
-    Raises SceneError.
+    Raises SceneError if the scene can't be used.
     """
     if isinstance(given, Scene):
         scene = given
@@ -68,7 +68,7 @@ def take_scene(
         if found.kind is None:
             found = _with_cameras(found, out, config, step, resume)
         elif out is not None and not found.folder.root.resolve().is_relative_to((out / CAMERAS).resolve()):
-            CameraFolder(out / CAMERAS).clear()  # an earlier run's, of other photographs
+            CameraFolder(out / CAMERAS).clear()  # an earlier run's cameras may belong to other photographs
         with step.clock.step("load"):
             scene = load_capture(found, config.data, partial(_tell_loading, step), config.expert.data)
     if out is not None:
@@ -97,9 +97,9 @@ def _tell_loading(step: Steps, done: int, total: int) -> None:
 
 
 def load_again(path: Path, out: Path, config: Config) -> Scene:
-    """Load the scene of the results in `out` as the run did, with the cameras that it found where there are none.
+    """Load the scene of the results in `out` as the run did; cameras that the run found are read from `out`.
 
-    Raises SceneError, also where the cameras are missing.
+    Raises SceneError if the scene can't be used, and if those cameras are missing.
     """
     search = CameraSearch(folder=out / CAMERAS, known_only=True, seed=config.seed)
     return without_flawed(load_scene(path, config.data, search=search, options=config.expert.data), config)
@@ -108,8 +108,8 @@ def load_again(path: Path, out: Path, config: Config) -> Scene:
 def as_read(scene: Scene, config: Config) -> Config:
     """Return the settings, with the reading settings of an already loaded scene.
 
-    Settings that work after the reading (LATER) are the caller's own unless they are left at their defaults. Raises
-    ConfigError where the caller's other settings differ from the scene's.
+    Settings that take effect after the reading (LATER) come from the caller unless they have their defaults. Raises
+    ConfigError if other settings of the caller differ from the scene's.
     """
     chosen = {}
     for item in fields(DataConfig):
@@ -140,12 +140,12 @@ def preprocess(
     budget: TimeBudget | None = None,
     reuse_object: bool = False,
 ) -> tuple[Scene, StartingPoints]:
-    """Preprocess a scene: even its exposures, find its object and its light, and choose the starting points.
+    """Preprocess a scene: equalise its exposures, find its object and its light, and choose the starting points.
 
-    Returns the scene and its starting points. The scene has its photographs at a common exposure, masks where an object
-    is requested and found, and a flash's irradiance where there is one. The findings are written to `out`.
+    Returns the scene and its starting points. The scene's photographs have a common exposure. The scene has masks if
+    an object is requested and found, and a flash's irradiance if there is a flash. The findings are written to `out`.
 
-    reuse_object: take an object's masks from `out`, if they are there. Raises MgsrError where these do not fit the
+    reuse_object: take an object's masks from `out`, if they are there. Raises MgsrError if they do not fit the
     photographs.
     """
     searched = searches_object(scene, config)
@@ -163,7 +163,7 @@ def preprocess(
         nonlocal depths
         count, progress = most_points(config, budget), step.share(during, text)
         masked, background = with_masks(of, masks), config.train.background
-        if not masked.masked and depths is None:  # those of another exposure are the same
+        if not masked.masked and depths is None:  # depths do not depend on the exposures, so one search suffices
             depths = scene_depths(of.train, config.seed, progress, expert.start.stereo, expert.stereo)
         return starting_points(masked, count, config.seed, progress, background, expert, depths)
 
@@ -180,7 +180,7 @@ def preprocess(
 
 
 def _with_kept_object(out: Path, scene: Scene, step: Steps) -> Scene:
-    """Return the scene with the masks of the object that an earlier run left in `out`. Raises MgsrError."""
+    """Add the masks of the object that an earlier run left in `out`. Raises MgsrError if they do not fit."""
     scene = with_found_object(out, scene)
     note = "the object's masks are those that an earlier run found"
     step.progress(Event("object", note, scene=scene))
@@ -197,9 +197,7 @@ def _at_one_exposure(
 ) -> tuple[Scene, StartingPoints]:
     """Bring the photographs to a common exposure, and choose the starting points again.
 
-    Where exposures agree, both stay unchanged.
-
-    points: chooses the starting points during a step; None leaves them as they are.
+    If the exposures agree, both stay unchanged. points: chooses the starting points during a step; None: keep them.
     """
     with step("exposures", "comparing the photographs' exposures"):
         exposures = find_exposures(scene, start, config.seed, step.should_stop, config.expert)
@@ -223,11 +221,9 @@ def _object_alone(
     step: Steps,
     points: Callable[[Scene, str, str], StartingPoints],
 ) -> tuple[Scene, StartingPoints]:
-    """Return the scene with masks of its object, and starting points on the object.
+    """Find the object, and return the scene with its masks and starting points on it.
 
-    Without an object, return the whole scene with a note.
-
-    points: chooses the starting points during a step.
+    If no object is found, return the whole scene with a note. points: chooses the starting points during a step.
     """
     place, options = _object_place(scene, config), config.expert.segmentation
     box = None if place is None else scene.user_from_scene.to_scene(place.box)
@@ -263,7 +259,7 @@ def _object_alone(
 
 
 def _object_place(scene: Scene, config: Config) -> ObjectPlace | None:
-    """Return where the object lies, as the settings or else the capture say; None where neither does."""
+    """Return the object's place from the settings, or else from the capture; None if neither gives one."""
     box = object_box(config.data.object_box)
     return scene.object_place if box is None else ObjectPlace(box)
 
@@ -278,7 +274,7 @@ def _with_irradiance(scene: Scene, lighting: Lighting | None, config: Config, ou
 
 
 def _learn_masks(scene: Scene, config: Config, step: Steps) -> list[np.ndarray] | None:
-    """Learn masks [H,W] uint8 of the training views for the start, where a plain backdrop lets them be learned."""
+    """Learn masks [H,W] uint8 of the training views for the start; None without a plain backdrop."""
     if not scene.backdrop(config.train.background).plain:
         return None
     text = "learning the object's silhouettes"

@@ -1,4 +1,4 @@
-"""What Python calls: a capture reconstructed, and a folder of results read again."""
+"""The Python interface: reconstruct a capture, and read a folder of results."""
 
 from __future__ import annotations
 
@@ -38,12 +38,15 @@ from mgsr.shading.lighting import Lighting
 class Reconstruction:
     """A finished run's results, in the capture's frame and unit.
 
-    mesh: the surface; `paths.model_glb` has it with a texture. model: the 2D branch, the 3D
-    branch, and the environment map that a shiny surface reflects; each may be None. Means and the reflector are
-    relative to `origin` [3] float64, so positions in the frame are `means + origin`. The origin is zero unless the
-    capture lies far from its frame's origin. flash: the lamp beside the lens and the surface that it lights; None where
-    the photographs show no flash. report: the content of report.json. paths: the files. normalisation: frame = scale *
-    normalised + offset. In the normalised frame the object lies in the unit ball, and splats are trained and rendered.
+    mesh: the surface; `paths.model_glb` has it with a texture.
+    model: the 2D branch, the 3D branch, and the environment map that a shiny surface reflects; each may be None.
+    origin [3] float64: the point to which means and the reflector are relative, so positions are `means + origin`. It
+    is zero unless the capture lies far from its frame's origin.
+    flash: the lamp beside the lens and the surface that it lights; None if the photographs show no flash.
+    report: the content of report.json.
+    paths: the files.
+    normalisation: frame = scale * normalised + offset. In the normalised frame the object lies in the unit ball, and
+    splats are trained and rendered.
     """
 
     mesh: ReconstructedMesh
@@ -57,7 +60,7 @@ class Reconstruction:
     def to(self, device: str) -> Reconstruction:
         """Return the same results with the model on a device: auto, cpu or cuda. It renders there.
 
-        Raises ConfigError for another name, or a device that torch does not see; GpuError for a card that can't be
+        Raises ConfigError for another name or a device that torch does not see, and GpuError for a card that can't be
         used.
         """
         return replace(self, model=self.model.to(pick_device(device).torch))
@@ -110,19 +113,22 @@ def reconstruct(
 ) -> Reconstruction:
     """Reconstruct a capture into the folder `out`, as `mgsr run` does, and return the results.
 
-    scene: what `load_scene` gave, or the path of a folder or an archive. preset: draft, standard or high; method:
-    mgsr, 2dgs or 3dgs; device: auto, cpu or cuda. The same seed gives the same files. time_budget: seconds from this
-    call after which the run should end; it replaces the preset. overrides: settings by name or path, such as
-    {"mesh.max_faces": 50_000, "output.obj": True}, or as texts "key=value"; None is "none". Those of `data`, except
-    `exposure`, `object` and `object_box`, take effect while a scene is read; for an already loaded scene they must
-    equal its own.
+    scene: the result of `load_scene`, or the path of a folder or an archive.
+    preset: draft, standard or high.
+    method: mgsr, 2dgs or 3dgs.
+    device: auto, cpu or cuda.
+    seed: the same seed gives the same files.
 
-    resume: go on from the checkpoint in `out`, if there is one. progress: called with an `Event` at each step and every
-    some iterations. should_stop: asked between iterations; once it says so, a checkpoint is written and Cancelled
-    raised.
+    time_budget: seconds from this call after which the run should end; it replaces the preset.
+    overrides: settings by name or path, such as {"mesh.max_faces": 50_000, "output.obj": True}, or as texts
+    "key=value"; None is "none". Most settings of `data` take effect while a scene is read. For a loaded scene they
+    must equal its own, except `exposure`, `object` and `object_box`.
+    resume: continue from the checkpoint in `out`, if there is one.
+    progress: called with an `Event` at each step and at intervals during training.
+    should_stop: called between iterations. Once it returns True, a checkpoint is written and Cancelled raised.
 
-    Raises ConfigError for an argument or a setting that does not fit; SceneError for a capture that can't be used;
-    TrainingError, MeshError, CheckpointError, GpuError, and Cancelled.
+    Raises ConfigError for an invalid argument or setting, SceneError for a capture that can't be used, TrainingError,
+    MeshError, CheckpointError, GpuError, and Cancelled.
     """
     started_at = time.perf_counter()
     folder = _path("out", out)
@@ -143,8 +149,8 @@ def reconstruct(
 def load_result(out: str | os.PathLike[str]) -> Reconstruction:
     """Read the results that a finished run left in the folder `out`.
 
-    Raises MgsrError where the folder has no report, which a run writes last, and for files that no run wrote;
-    SceneError for a flash that is damaged.
+    Raises MgsrError if the folder has no report, which a run writes last, and for files that are not a run's results.
+    Raises SceneError for a damaged flash.
     """
     folder = _path("out", out)
     report = read_report(folder)

@@ -53,7 +53,7 @@ class RenderedView:
     whole: np.ndarray | None = None
 
     def straight(self, unit: float) -> Rendering:
-        """Return the images with straight colours, and depth in another unit; `unit` converts from the scene's."""
+        """Return the images with straight colours and with depth times `unit`, which converts the scene's unit."""
         color = straight_color(self.color, self.alpha)
         transmitted, unlit = (
             None if each is None else straight_color(each, self.alpha) for each in (self.transmitted, self.unlit)
@@ -64,9 +64,9 @@ class RenderedView:
 
 
 def render_views(model: TrainedModel, views: Sequence[View], config: Config) -> Iterator[RenderedView]:
-    """Render each view's camera with the branches, one after the other.
+    """Render the branches from each view's camera, one after the other.
 
-    Colours are the 3D branch's where there is one, depth and normal the 2D branch's where there is one.
+    The 3D branch gives the colours, and the 2D branch depth and normal. A single branch gives all of them.
     """
     for view in views:
         yield render_camera(model, view.camera, config.train.paper.surface_depth, view.irradiance, view.name)
@@ -78,8 +78,8 @@ def render_camera(
 ) -> RenderedView:
     """Render the branches from any camera in their frame.
 
-    depth: which of the 2D branch's depths is the surface; shading [H,W] uint8: the flash's shading of the view (see
-    `View`).
+    depth: the kind of the 2D branch's depth that defines the surface. shading [H,W] uint8: the flash's shading of the
+    view (see `View`); None is even light.
     """
     images = _render_object(model, camera, depth, shading, name)
     if model.background is None:
@@ -108,8 +108,8 @@ def _render_object(
 def surface_views(model: TrainedModel, scene: Scene, config: Config) -> list[SurfaceView]:
     """Render the views for surface extraction.
 
-    The cameras are the training cameras and the intermediate ones that `config.mesh` asks for. Pixels that a photograph
-    does not show are left out, since no loss supervised them.
+    The cameras are the training cameras and the intermediate ones that `config.mesh` asks for. Invalid pixels of
+    photographs are left out, because no loss supervised them.
     """
     cameras = surface_cameras([view.camera for view in scene.train], config.mesh)
     valid = [view.valid_mask for view in scene.train] + [None] * (len(cameras) - len(scene.train))
@@ -121,9 +121,9 @@ def surface_views(model: TrainedModel, scene: Scene, config: Config) -> list[Sur
 
 
 def rendered_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
-    """Return the scene with renders in place of its photographs, and of its masks if it has any.
+    """Replace the scene's photographs, and its masks if it has any, by renders.
 
-    With a light split, and where `mesh.color` asks for it, they show the transmitted colour, without highlights.
+    If there is a light split and `mesh.color` asks for it, the renders show transmitted light, without highlights.
     """
     behind = scene.backdrop(config.train.background).color
     return replace(
@@ -147,8 +147,7 @@ def _as_photograph(model: TrainedModel, view: View, config: Config, behind: Colo
 def masked_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
     """Return the scene with masks: its own, or the branches' opacity before a plain backdrop.
 
-    Before such a backdrop, opacity needs to cover only the object. Without masks and backdrop, the scene is returned
-    unchanged.
+    Before such a backdrop, opacity covers only the object. Without masks and backdrop, the scene is unchanged.
     """
     if not scene.backdrop(config.train.background).plain:
         return scene
@@ -158,7 +157,7 @@ def masked_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
 
 
 def scene_silhouettes(scene: Scene, side: int = MeshOptions().mask_side) -> list[Silhouette]:
-    """Return the silhouettes of the training photographs' masks; none where the scene has none."""
+    """Return the silhouettes of the training photographs' masks; an empty list without masks."""
     if not scene.masked:
         return []
     return view_silhouettes(scene.train, side)
@@ -193,7 +192,7 @@ def _surface_view(model: TrainedModel, camera: Camera, config: Config, mask: np.
 def _surface(
     flat: SurfelOutputs | None, full: GaussianOutputs | None, camera: Camera, kind: SurfaceDepth
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return depth [H,W] and normal [H,W,3] of the 2D branch; of the 3D branch's depth where it is the only branch."""
+    """Return depth [H,W] and normal [H,W,3] of the 2D branch; if there is none, of the 3D branch's depth."""
     if flat is not None:
         median = kind is SurfaceDepth.MEDIAN
         return _numpy(flat.median_depth if median else flat.depth), _numpy(flat.normal)
@@ -202,7 +201,7 @@ def _surface(
 
 
 def _surface_color(flat: SurfelOutputs | None, full: GaussianOutputs | None, kind: MeshColor) -> np.ndarray:
-    """Return the straight colour [H,W,3], so that the mesh gets no dark rim where the splats thin out."""
+    """Return the straight colour [H,W,3], so that the mesh has no dark rim where opacity is low."""
     outputs = full if full is not None else flat
     assert outputs is not None
     color = full.transmitted if full is not None and kind is MeshColor.TRANSMITTED else outputs.color

@@ -48,7 +48,7 @@ RELIT, RELIT_SIDE = 6, 200  # pictures of the model in new light, and their pixe
 class SurfaceDrawings:
     """The drawings of a surface for the report.
 
-    They show its sides and, shaded [H,W,4] uint8, each of the first test views.
+    They show its sides. shaded [H,W,4] uint8: the shaded surface from each of the first test views.
     """
 
     sides: SurfacePictures
@@ -81,8 +81,8 @@ def report_pictures(
     They show the first test views, the surface, the environment map that it reflects, a found object's masks, and the
     textured model in new light.
 
-    psnr: of the test views, dB. background: the colour behind views without masks. agreement: of a found object's
-    masks, by the training view's name; empty where no object was found.
+    psnr: the PSNR of each test view, dB. background: the colour behind views without masks. agreement: the agreement
+    of a found object's masks, by the training view's name; empty if no object was found.
     """
     views = [
         _view_pictures(images, view, value, shaded, background)
@@ -93,7 +93,7 @@ def report_pictures(
 
 
 def draw_relit(textured: TexturedMesh, scene: Scene) -> list[Picture]:
-    """Draw the textured model, of the user's frame, in a studio that turns around it."""
+    """Draw the textured model, which is in the user's frame, in a studio that turns around it."""
     up = _up(scene) / np.linalg.norm(_up(scene))
     viewer = scene.user_from_scene.camera_to_user((scene.test or scene.train)[0].camera).center
     toward = viewer - bounding_ball(textured.vertices)[0]

@@ -1,4 +1,4 @@
-"""The files of a folder of results: how each is written whole and in the user's frame, and read."""
+"""Writing and reading of the files in a folder of results: each is written atomically, in the user's frame."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ from mgsr.shading.lighting import Lighting, add_irradiance
 
 
 def clear_reports(out: Path) -> None:
-    """Remove an earlier run's reports: a folder with a report holds a finished run."""
+    """Remove an earlier run's reports, because a report marks a finished run."""
     for name in (REPORT, REPORT_HTML):
         (out / name).unlink(missing_ok=True)
 
@@ -87,7 +87,7 @@ def write_exposures(out: Path, scene: Scene, exposures: Exposures) -> None:
 def at_known_exposures(out: Path, scene: Scene) -> Scene:
     """Return the scene at the exposures that the run in `out` found.
 
-    Raises MgsrError for a file that is damaged or of other photographs.
+    Raises MgsrError for a file that is damaged or belongs to other photographs.
     """
     if not (out / EXPOSURES).is_file():
         return scene
@@ -124,8 +124,10 @@ def with_irradiance(out: Path, scene: Scene, config: Config) -> Scene:
 
 
 def read_lighting(out: Path, options: IrradianceOptions) -> Lighting | None:
-    """Read the flash that the run in `out` found, in the user's frame; None where it found none. Raises SceneError for
-    a file that is damaged."""
+    """Read the flash that the run in `out` found, in the user's frame; None if it found none.
+
+    Raises SceneError for a damaged file.
+    """
     return replace(load_flash(out / FLASH), options=options) if (out / FLASH).is_file() else None
 
 
@@ -133,7 +135,7 @@ def write_models(out: Path, model: TrainedModel, scene: Scene, output: OutputCon
     """Write the branches as splat files, and the environment maps.
 
     For a missing branch or map, an earlier run's file is removed. Splats are in the output's unit, relative to the
-    frame's origin or to one near the scene (see `origin_of_frame`).
+    frame's origin or to an origin near the scene (see `origin_of_frame`).
     """
     for name, splats in ((SURFELS, model.surfels), (GAUSSIANS, model.gaussians)):
         if splats is None:
@@ -148,12 +150,12 @@ def write_models(out: Path, model: TrainedModel, scene: Scene, output: OutputCon
 
 
 def write_background(out: Path, model: GaussianModel, scene: Scene, output: OutputConfig) -> None:
-    """Write the Gaussians of what lies around a found object, as `write_models` writes the branches."""
+    """Write the Gaussians around a found object, as `write_models` writes the branches."""
     _write_model(out / BACKGROUND, model, scene, output)
 
 
 def read_background(out: Path, user_from_scene: Similarity) -> GaussianModel | None:
-    """Read the Gaussians of what lies around a found object, in the scene's frame; None where the run left none."""
+    """Read the Gaussians around a found object, in the scene's frame; None if the run left none."""
     return _read_gaussians(out / BACKGROUND, user_from_scene) if (out / BACKGROUND).exists() else None
 
 
@@ -171,9 +173,9 @@ def _write_model(to: Path, splats: SurfelModel | GaussianModel, scene: Scene, ou
 
 
 def read_models(out: Path, user_from_scene: Similarity) -> TrainedModel:
-    """Read the branches that a run left in `out`, and what lies around a found object, in the scene's frame.
+    """Read the branches that a run left in `out`, and the Gaussians around a found object, in the scene's frame.
 
-    Raises MgsrError where there are no branches.
+    Raises MgsrError if there are no branches.
     """
     if not any((out / name).exists() for name in (SURFELS, GAUSSIANS)):
         raise MgsrError(
@@ -205,9 +207,9 @@ def _read_environment_map(path: Path, user_from_scene: Similarity) -> Environmen
 
 
 def write_mesh(out: Path, mesh: ReconstructedMesh, output: OutputConfig) -> None:
-    """Write mesh.ply, and mesh.obj if it is asked for; otherwise an earlier run's is removed.
+    """Write mesh.ply, and mesh.obj if the settings ask for it; otherwise remove an earlier run's mesh.obj.
 
-    The mesh is in the user's frame; lengths are in the output's unit.
+    The mesh is in the user's frame. The files' lengths are in the output's unit.
     """
     scaled = mesh.in_frame(mesh.vertices * output.scale)
     with atomic_write(out / MESH) as path:
@@ -250,7 +252,7 @@ def _pbr_material(textured: TexturedMesh) -> PbrMaterial:
 
 
 def _up(scene: Scene, output: OutputConfig) -> UpDirection:
-    """Return the up axis or direction [3] in the user's frame, which has the scene's axes."""
+    """Return the up axis, or the up direction [3] in the user's frame, whose axes are parallel to the scene's."""
     if output.up is not Up.AUTO:
         return UpAxis(output.up.value)
     return up_direction([view.camera for view in scene.train], scene.options.up)
@@ -273,7 +275,7 @@ def read_mesh(out: Path) -> ReconstructedMesh:
 
 
 def write_renders(out: Path, rendered: Sequence[RenderedView], scene: Scene, output: OutputConfig) -> None:
-    """Write renders/test with all pictures of each test view (see mgsr/export/renders.py).
+    """Write all pictures of each test view to renders/test (see mgsr/export/renders.py).
 
     Depths are in the output's unit.
     """
@@ -284,7 +286,7 @@ def write_renders(out: Path, rendered: Sequence[RenderedView], scene: Scene, out
 
 
 def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> None:
-    """Write report.html, then report.json, which says that the run is complete."""
+    """Write report.html, then report.json, which marks the run as finished."""
     report = with_decisions(report)
     with atomic_write(out / REPORT_HTML) as path:
         write_report_html(path, report, pictures)
@@ -293,7 +295,7 @@ def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> No
 
 
 def read_report(out: Path) -> ReportData:
-    """Read the report of the run in `out`. Raises MgsrError where there is none, or one that is damaged."""
+    """Read the report of the run in `out`. Raises MgsrError if it is missing or damaged."""
     path = out / REPORT
     if not path.is_file():
         raise MgsrError(f"{path}: expected the report of a finished run, found none; resume the run first")

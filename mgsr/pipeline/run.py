@@ -48,13 +48,15 @@ def run_scene(
 ) -> Path:
     """Reconstruct a scene into the folder `out`; return the path of report.json, which is written last.
 
-    given: the scene, or the path that `load_scene` takes. resume: go on from the checkpoint in `out`, if there is one.
-    should_stop: called between iterations and between steps. started_at: the value of time.perf_counter() from which a
-    time budget counts (config.time_budget); None is now. reuse_object: where an object is looked for, take the
-    masks that a run with the same settings of `data` left in `out`, if there are any.
+    given: the scene, or the path that `load_scene` takes.
+    resume: continue from the checkpoint in `out`, if there is one.
+    should_stop: called between iterations and between steps.
+    started_at: the value of time.perf_counter() from which a time budget (config.time_budget) counts; None is now.
+    reuse_object: if an object is looked for, take the masks that a run with the same settings of `data` left in `out`,
+    if there are any.
 
     Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, GpuError, and Cancelled once should_stop
-    says so (the checkpoint then holds the training's state).
+    returns True. The checkpoint then holds the training's state.
     """
     if config.output.usdz:
         require_usd()
@@ -99,7 +101,8 @@ def train_only(
 ) -> TrainResult:
     """Run the training stages of `run_scene` up to mesh extraction, and write the splats to `out`.
 
-    The arguments and errors are those of `run_scene`. Raises ConfigError for a time budget, which is for whole runs.
+    The arguments and errors are those of `run_scene`. Raises ConfigError for a time budget, because time budgets apply
+    to whole runs.
     """
     if config.time_budget is not None:
         raise ConfigError(
@@ -191,8 +194,10 @@ def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
 
 
 def _draw(mesh: ReconstructedMesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
-    """Return pictures of a mesh of the user's frame. They are drawn about the origin of the scene's files, as rays are
-    cast in float32."""
+    """Draw a mesh of the user's frame.
+
+    Rays are cast in float32, so the mesh is drawn relative to the origin of the scene's files.
+    """
     origin = origin_of_frame(scene.user_from_scene)
     mesh = mesh.in_frame(mesh.vertices - origin)
     truth = None if truth is None else replace(truth, mesh=truth.mesh.in_frame(truth.mesh.vertices - origin))
@@ -213,8 +218,10 @@ def result_line(report: ReportData) -> str:
 
 
 class _TrainingStep:
-    """Training as a step of the run, which may have two parts: before and after the surface. The branches are also
-    written as splats; `out`/checkpoint holds them on the way and at the end."""
+    """Training as a step of the run, in one part, or in two parts before and after surface extraction.
+
+    The branches are also written as splat files. `out`/checkpoint holds the state during training and at its end.
+    """
 
     def __init__(self, run: _Run, resume: bool) -> None:
         self._run, step = run, run.step
@@ -233,7 +240,7 @@ class _TrainingStep:
             )
 
     def set_reflector(self, mesh: Mesh) -> bool:
-        """See `Training.set_reflector`."""
+        """Let the finished mesh reflect the environment map (`Training.set_reflector`)."""
         return self._training.set_reflector(mesh)
 
     def run(self, before_surface: bool = False) -> TrainResult:

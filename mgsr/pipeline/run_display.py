@@ -1,4 +1,4 @@
-"""Shows a run as it goes: a live bar on a terminal, plain lines elsewhere, and the lines in log.txt in any case."""
+"""The display of a run: a live bar on a terminal, plain lines elsewhere, and always the lines in log.txt."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ LINE_EVERY = 2.0
 
 
 class RunDisplay:
-    """A callback for `run_scene` that shows its events and logs them (see `RunLog`). Use it in a `with` block, which
-    closes bar and log."""
+    """A callback for `run_scene` that shows its events and logs them (see `RunLog`).
+
+    Use it in a `with` block, which closes bar and log.
+    """
 
     def __init__(self, log: Path, append: bool, console: Console | None = None) -> None:
         self._console = console or Console(stderr=False, highlight=False)

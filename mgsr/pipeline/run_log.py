@@ -1,4 +1,4 @@
-"""The lines of a run, in log.txt."""
+"""The log of a run, log.txt."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from mgsr.training.progress import Progress
 
 
 class RunLog:
-    """Write the events of a run to a file. Use it in a `with` block, which closes the file.
+    """A log that writes the events of a run to a file. Use it in a `with` block, which closes the file.
 
-    Events from the reading of the scene are held back until the reading ends. A refused scene leaves no folder and no
-    log, and an earlier log remains; every other end writes the events.
+    Events from the reading of the scene are held back until the reading ends. If the scene is refused, no folder and
+    no log are written, and an earlier log remains. Any other end writes the events.
     """
 
     def __init__(self, path: Path, append: bool) -> None:
-        """append: whether to append to an earlier run's log instead of replacing it."""
+        """Prepare the log. append: whether to append to an earlier run's log instead of replacing it."""
         self._open = ExitStack()
         self._log: IO[str] | None = None
         self._path, self._mode = path, ("a" if append else "w")
@@ -47,7 +47,7 @@ class RunLog:
 
     def _open_log(self) -> None:
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        # Line by line: a run that is killed keeps its log.
+        # Line buffering keeps the log of a run that is killed.
         self._log = self._open.enter_context(self._path.open(self._mode, encoding="utf-8", buffering=1))
         self._log.writelines(self._held)
         self._held.clear()
@@ -66,7 +66,7 @@ def event_line(event: Event) -> str:
 
 
 def training_line(training: Progress) -> str:
-    """Return where training is, in one line."""
+    """Return the progress of training in one line."""
     parts = [f"{training.stage} {training.iteration}/{training.total}", f"loss {sum(training.losses.values()):.4f}"]
     if training.psnr is not None:
         parts.append(f"PSNR {training.psnr:.2f} dB")

@@ -42,7 +42,7 @@ from mgsr.start.points import StartingPoints
 from mgsr.training.progress import TrainResult
 
 PACKAGES = ("torch", "numpy", "scipy", "OpenImageIO", "open3d-cpu", "open3d")
-# The names of modules as programs.
+# The program's name for each main module.
 _PROGRAMS = {"mgsr.cli.main": "mgsr", "program.__main__": "mgsr", "program.worker": "mgsr-worker"}
 
 
@@ -58,7 +58,7 @@ def run_report(
     clock: StepClock,
     time_budget: BudgetFacts | None = None,
 ) -> ReportData:
-    """Build the content of report.json. gt: the scores of the mesh against the true surface."""
+    """Build the content of report.json. gt: the scores of the mesh against the true surface, None without one."""
     model = trained.model
     return ReportData(
         scene=scene.name,
@@ -132,7 +132,7 @@ def scene_facts(scene: Scene, unit: float = 1.0) -> InputFacts:
 
 
 def shown_share(scene: Scene) -> float:
-    """Return the share of the training images' pixels that photographs show; undoing a strong lens leaves others."""
+    """Return the share of valid pixels in the training images; undistortion of a strong lens leaves invalid ones."""
     pixels = sum(view.camera.width * view.camera.height for view in scene.train)
     unknown = sum(int((~view.valid_mask).sum()) for view in scene.train if view.valid_mask is not None)
     return 1 - unknown / max(pixels, 1)
@@ -168,7 +168,7 @@ def peak_memory_mib() -> float:
 
 
 def _command() -> str:
-    # `python -m` leaves the module's file as the program's name.
+    # With `python -m`, sys.argv[0] is the module's file instead of the program's name.
     module = getattr(sys.modules["__main__"], "__spec__", None)
     name = _PROGRAMS.get(module.name if module else "", Path(sys.argv[0]).name)
     return shlex.join([name, *sys.argv[1:]])
@@ -190,7 +190,10 @@ def _machine() -> MachineFacts:
 
 
 def _seconds(trained: TrainResult, clock: StepClock) -> dict[str, float]:
-    """Return seconds by step: the total is this process's; `train` and its stages also hold those before a resume."""
+    """Return seconds by step.
+
+    The total counts this process only; `train` and its stages also include the time before a resume.
+    """
     stages = {stage.name: stage.seconds for stage in trained.stages}
     before = trained.seconds - clock.steps["train"]
     return {"total": clock.total + max(0.0, before), **clock.steps, "train": trained.seconds, **stages}

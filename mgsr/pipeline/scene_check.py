@@ -1,4 +1,4 @@
-"""The inspection of a capture as a step of a run, and a scene without the photographs whose poses contradict it."""
+"""The inspection of a capture as a step of a run, and the removal of photographs with contradictory poses."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from mgsr.inspection.inspect import inspect_scene, photo_names
 from mgsr.pipeline.progress import Event
 from mgsr.pipeline.steps import Steps
 
-# Findings that notes of the reading tell already.
+# Findings that the notes of the reading already contain.
 _NOTED = (Code.BLURRED, Code.FEW_PHOTOGRAPHS)
 
 
 @dataclass(frozen=True)
 class CheckedScene:
-    """A scene and its inspection; None where the settings ask for none."""
+    """A scene and its inspection; the inspection is None if the settings turn it off."""
 
     scene: Scene
     inspection: Inspection | None
@@ -29,7 +29,7 @@ class CheckedScene:
 def check_scene(scene: Scene, config: Config, step: Steps) -> CheckedScene:
     """Inspect a scene, report the findings, and leave out contradictory photographs where `data.flawed` is drop.
 
-    Raises Cancelled where a stop is asked for, and SceneError where too few photographs are left.
+    Raises Cancelled if a stop is requested, and SceneError if too few photographs are left.
     """
     if not config.data.check and config.data.flawed is Flawed.KEEP:
         return CheckedScene(scene, None)
@@ -49,9 +49,9 @@ def check_scene(scene: Scene, config: Config, step: Steps) -> CheckedScene:
 
 
 def without_flawed(scene: Scene, config: Config) -> Scene:
-    """Return the scene under `Flawed.DROP` without the photographs whose poses contradict what they show.
+    """Drop the photographs whose poses contradict what they show, if the settings say `Flawed.DROP`.
 
-    Raises SceneError.
+    Raises SceneError if too few photographs are left.
     """
     if config.data.flawed is not Flawed.DROP:
         return scene
@@ -59,9 +59,9 @@ def without_flawed(scene: Scene, config: Config) -> Scene:
 
 
 def without_contradictory(scene: Scene, inspection: Inspection) -> Scene:
-    """Return the scene without the photographs whose poses contradict the others', with a note on them.
+    """Drop the photographs whose poses contradict the others, and add a note about them to the scene.
 
-    Raises SceneError where fewer than two training photographs are left.
+    Raises SceneError if fewer than two training photographs are left.
     """
     names = photo_names(scene)
     odd = inspection.contradictory
@@ -80,7 +80,7 @@ def without_contradictory(scene: Scene, inspection: Inspection) -> Scene:
 
 
 def summary(inspection: Inspection) -> str:
-    """Return how many findings there are of each severity, in one line."""
+    """Return the number of findings of each severity, in one line."""
     counts = _counted([finding.severity for finding in inspection.findings])
     photographs = f"{len(inspection.photographs)} photographs checked in {inspection.seconds:.1f} s"
     return f"{photographs}: {counts or 'nothing was found'}"

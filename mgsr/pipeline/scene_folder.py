@@ -1,4 +1,4 @@
-"""Scenes as new folders for other programs."""
+"""Writing of scenes as new folders for other programs."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from mgsr.pipeline.run_metadata import scene_line
 
 
 def require_new_folder(target: Path) -> None:
-    """Raise ConfigError where something is at `target` already, before the work and not after it."""
+    """Check, before any work, that `target` is new or an empty folder. Raises ConfigError otherwise."""
     if target.exists() and (target.is_file() or any(target.iterdir())):
         raise ConfigError(f"{target}: the folder is not empty; choose a new folder for the scene")
 
 
 def write_scene_folder(target: Path, scene: Scene, scale: float) -> None:
-    """Write the scene at `target` (see `write_scene`), whole or not at all. Raises as `require_new_folder`."""
+    """Write the scene at `target` atomically (see `write_scene`). Raises the errors of `require_new_folder`."""
     require_new_folder(target)
     with atomic_write(target) as folder:
         folder.mkdir()
@@ -33,7 +33,7 @@ def write_scene_folder(target: Path, scene: Scene, scale: float) -> None:
 def convert_scene(source: Path, target: Path, scale: float, up: UpAxis | None) -> str:
     """Write the scene at `source` as a new folder, with all lengths times `scale`; return a one-line summary.
 
-    up: refused, as a scene keeps its frame. Raises ConfigError where the arguments do not fit, and SceneError.
+    up: must be None, because a scene keeps its frame. Raises ConfigError for invalid arguments, and SceneError.
     """
     if target.name.lower().endswith((*FILE_SUFFIXES, *ARCHIVE_SUFFIXES)):
         raise ConfigError(f"{target}: {source} is a scene, which is written as a folder; choose a new folder")

@@ -1,4 +1,4 @@
-"""Single steps of a run; each reads the results of the step before from the folder of results."""
+"""Single steps of a run. Each reads the results of earlier steps from the folder of results."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from mgsr.start.starting_points import starting_points
 def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> ReconstructedMesh:
     """Extract the surface from the splats in `out`, write its files there, and return it in the user's frame.
 
-    Raises ConfigError, SceneError, GpuError, MeshError, and MgsrError where there are no splats.
+    Raises ConfigError, SceneError, GpuError, MeshError, and MgsrError if there are no splats.
     """
     if config.output.usdz:
         require_usd()
@@ -51,8 +51,9 @@ def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> R
 def render_again(path: Path, out: Path, config: Config, device: str = "auto", as_scene: Path | None = None) -> Scene:
     """Render the test views from the splats in `out`, write their pictures there, and return the scene.
 
-    as_scene: a new folder for the renders and cameras of all views, as a separate scene. Raises ConfigError where it is
-    not empty, SceneError, GpuError, and MgsrError where there are no splats.
+    as_scene: a new folder for a separate scene of the renders and cameras of all views.
+
+    Raises ConfigError if that folder is not empty, SceneError, GpuError, and MgsrError if there are no splats.
     """
     chosen = pick_device(device)
     if as_scene is not None:
@@ -66,9 +67,9 @@ def render_again(path: Path, out: Path, config: Config, device: str = "auto", as
 
 
 def score_again(path: Path, out: Path, config: Config, device: str = "auto") -> dict[str, Any]:
-    """Score the splats in `out`, and the mesh if it is there; return plain types that JSON knows.
+    """Score the splats in `out`, and the mesh if it is there; return the scores as JSON types.
 
-    Raises ConfigError, SceneError, GpuError, and MgsrError where there are no splats.
+    Raises ConfigError, SceneError, GpuError, and MgsrError if there are no splats.
     """
     chosen = pick_device(device)
     scene = with_irradiance(out, with_found_object(out, at_known_exposures(out, load_again(path, out, config))), config)

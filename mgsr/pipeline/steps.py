@@ -1,4 +1,4 @@
-"""The steps of a run, one after the other, and where its time goes."""
+"""The steps of a run: their announcement, their timing, and the checks for a stop request between them."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ SELDOM = 2.0
 
 
 def never() -> bool:
-    """Return False, for callers that will not stop a run."""
+    """Return False; the default `should_stop` of callers that never stop a run."""
     return False
 
 
 def always() -> bool:
-    """Return True, for callers that have all the time there is."""
+    """Return True; the default `go_on` of callers without a time limit."""
     return True
 
 
 class StepClock:
-    """Seconds spent in each step, by name, and since the start."""
+    """A clock of the seconds spent in each step, by name, and since the start."""
 
     def __init__(self, started_at: float | None = None) -> None:
         """started_at: what time.perf_counter() said at the start; None is now."""
@@ -40,7 +40,7 @@ class StepClock:
 
     @contextmanager
     def step(self, name: str) -> Iterator[None]:
-        """Count the block's time to a step; a step may come more than once."""
+        """Add the block's duration to a step's seconds; a step may run more than once."""
         started_at = time.perf_counter()
         try:
             yield
@@ -49,7 +49,7 @@ class StepClock:
 
 
 class Steps:
-    """The steps of a run: each is announced and timed; before it begins, a request to stop ends the run."""
+    """The steps of a run. Each is announced and timed. A stop request ends the run before the next step begins."""
 
     def __init__(self, clock: StepClock, progress: EventCallback, should_stop: StopCheck) -> None:
         self.clock = clock
@@ -65,7 +65,7 @@ class Steps:
     def share(self, step: str, text: str) -> Callable[[float], None]:
         """Return a callback by which a long step reports the share of it that is done, 0..1.
 
-        Events are sent at intervals. The callback raises Cancelled where a stop is asked for.
+        Events are sent at intervals. The callback raises Cancelled if a stop is requested.
         """
         reported_at = time.monotonic()
 

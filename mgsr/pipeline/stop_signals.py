@@ -18,7 +18,7 @@ _ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(si
 
 
 class StopFlag:
-    """A request of the user or the system to stop the work: false until it comes."""
+    """A request of the user or the system to stop the work; it is false until the request arrives."""
 
     def __init__(self) -> None:
         self.asked = False

@@ -25,7 +25,7 @@ from mgsr.training.probe import probe
 def make_budget(
     config: Config, clock: Callable[[], float], device: Device, checkpoint: Path | None
 ) -> TimeBudget | None:
-    """Build the budget that the settings ask for; it goes on from that of a checkpoint, if there is one."""
+    """Build the budget that the settings ask for; it continues the budget of a checkpoint, if there is one."""
     if config.time_budget is None:
         return None
     budget = TimeBudget(config, clock, on_card=device is not Device.CPU)
@@ -51,13 +51,13 @@ def cost_factors(scene: Scene, config: Config, start: StartingPoints | None = No
 
 
 def searches_object(scene: Scene, config: Config) -> bool:
-    """Return whether a run looks for an object in the scene, which as it was read has no masks."""
+    """Return whether a run looks for an object in the scene: the settings ask for it, and no masks were read."""
     asked = config.data.object is Object.AUTO or config.data.object_box is not None
     return asked and not scene.masked and not scene.backdrop(config.train.background).plain
 
 
 def learn_search(scene: Scene, budget: TimeBudget, clock: StepClock) -> None:
-    """Let the budget learn this machine's speed from the time of a whole search for cameras, if there was one."""
+    """Calibrate the budget to this machine's speed by the time of a complete search for cameras, if there was one."""
     if "cameras" in clock.steps and scene.format == PHOTOGRAPHS:
         views = [*scene.train, *scene.test]
         pixels = sum(view.camera.width * view.camera.height for view in views) / len(views)
@@ -79,13 +79,13 @@ def fitted_scene(scene: Scene, budget: TimeBudget, config: Config, clock: StepCl
 
 
 def most_points(config: Config, budget: TimeBudget | None) -> int:
-    """Return how many starting points may be of use."""
+    """Return the largest useful number of starting points."""
     settings = config if budget is None else budget.line.at(config.expert.budget.highest)
     return max(settings.train.surfels.max_start, settings.train.gaussians.max_start)
 
 
 def affordable_options(config: Config, budget: TimeBudget | None) -> ExpertConfig:
-    """Return the options of the algorithms, where stereo of everything in view searches what the budget affords."""
+    """Return the options of the algorithms, with the stereo of whole scenes reduced to what the budget affords."""
     if budget is None:
         return config.expert
     start = config.expert.start
@@ -95,9 +95,9 @@ def affordable_options(config: Config, budget: TimeBudget | None) -> ExpertConfi
 def planned_config(
     scene: Scene, start: StartingPoints, budget: TimeBudget, config: Config, device: Device, clock: StepClock
 ) -> Config:
-    """Choose the settings that fit the time that is left.
+    """Choose the settings that fit the remaining time.
 
-    clock: gives the time of the starting points. Raises the errors of training.
+    clock: gives the duration of the choice of starting points. Raises the errors of training.
     """
     factors = replace(cost_factors(scene, config, start), searched="object" in clock.steps)
     budget.learn(
@@ -125,7 +125,7 @@ def plan_line(budget: TimeBudget) -> str:
 
 
 def place_words(place: float) -> str:
-    """Describe a place on the line of settings by the presets."""
+    """Describe a place on the line of settings by the presets around it."""
     names = list(PRESETS)
     below = int(place // 1)
     if below < 0:
@@ -136,7 +136,7 @@ def place_words(place: float) -> str:
 
 
 def budget_facts(budget: TimeBudget, steps: dict[str, float]) -> BudgetFacts:
-    """Return what report.json says of the budget. steps: the seconds spent, by step."""
+    """Return the facts of the budget for report.json. steps: the seconds spent, by step."""
     return BudgetFacts(
         seconds=budget.seconds,
         used=budget.spent,

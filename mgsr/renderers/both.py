@@ -19,8 +19,9 @@ def render_both(
     depth: bool = True,
     shading: Tensor | None = None,
 ) -> tuple[SurfelOutputs | None, GaussianOutputs | None]:
-    """Render each branch of a model from one camera; None for one that is not there.
+    """Render each branch of a model from one camera; None for a missing branch.
 
+    background [3]: as for `render_gaussians`.
     depth: whether to render the 3D branch's depth; shading [H,W]: as for `render_gaussians`.
     """
     flat = None if model.surfels is None else render_surfels(model.surfels, camera, background, shading=shading)

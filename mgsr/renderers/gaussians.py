@@ -94,11 +94,11 @@ class _GaussianInputs:
     shading: Tensor | None
 
     def transmitted(self, sh: Tensor, means: Tensor) -> Harmonics:
-        """Return the transmitted colours of Gaussians at means [N,3], from their coefficients [N,K,3]."""
+        """Return the transmitted colours of Gaussians at means [N,3], from their coefficients sh [N,K,3]."""
         return Harmonics(coeffs=sh, means=means, center=self.center, degree=self.degrees[0])
 
     def reflected(self, sh: Tensor, means: Tensor) -> Harmonics:
-        """Return the reflected colours of Gaussians at means [N,3], from their coefficients [N,K,3]."""
+        """Return the reflected colours of Gaussians at means [N,3], from their coefficients sh [N,K,3]."""
         return Harmonics(coeffs=sh, means=means, center=self.center, degree=self.degrees[1])
 
 

@@ -38,7 +38,7 @@ class SurfelOutputs:
 
 @dataclass(frozen=True)
 class GaussianOutputs:
-    """The 3D branch seen by one camera.
+    """The 3D branch's images of one camera.
 
     color [H,W,3]: transmitted + weight * reflected.
     transmitted [H,W,3]: with the background.

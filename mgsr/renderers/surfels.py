@@ -33,9 +33,9 @@ def render_surfels(
 ) -> SurfelOutputs:
     """Render the surfels from any camera, at its size.
 
-    background [3] colour behind them, black by default; degree: SH degree of the colours, by default all that is
-    stored; shading [H,W]: the flash's shading of the colour (see `mgsr.ops.lights`); None is even light. Gradients flow
-    to the model's tensors where these ask for them.
+    background [3]: the colour behind the surfels, black by default. degree: the SH degree of the colours, by default
+    the stored one. shading [H,W]: the flash's shading of the colour (see `mgsr.ops.lights`); None is even light.
+    Gradients flow to the model's tensors, if these require them.
 
     Raises TensorError for a model with inconsistent tensors.
     """

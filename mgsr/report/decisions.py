@@ -205,7 +205,7 @@ def _about_light(data: ReportData) -> Iterator[Decision]:
 
 
 def _removed_area(data: ReportData) -> float:
-    """Return the share of the mesh's area that was removed, as photographs contradict it."""
+    """Return the share of the mesh's area that was removed because photographs contradict it."""
     step = (data.mesh_steps or {}).get("remove_contradicted")
     return 0.0 if step is None else float(step.outcome["removed_area"])
 

@@ -81,14 +81,14 @@ class ReportPictures:
 
 
 def mask_picture(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Return a photograph [H,W,3] uint8 that is dimmed and grey outside a mask [H,W] uint8."""
+    """Return a copy of an image [H,W,3] uint8 that is dimmed and grey outside a mask `alpha` [H,W] uint8."""
     inside = alpha[..., None] / 255.0
     grey = 0.35 * image.mean(axis=-1, keepdims=True)
     return np.asarray((inside * image + (1 - inside) * grey).round().astype(np.uint8))
 
 
 def color_picture(color: np.ndarray, alpha: np.ndarray | None = None) -> np.ndarray:
-    """Convert colours [H,W,3] 0..1 to uint8 [H,W,3], or with alpha [H,W] 0..1 to uint8 [H,W,4].
+    """Convert color [H,W,3] 0..1 to uint8 [H,W,3], or with alpha [H,W] 0..1 to uint8 [H,W,4].
 
     With alpha, the colours are taken as straight ones.
     """
@@ -98,12 +98,12 @@ def color_picture(color: np.ndarray, alpha: np.ndarray | None = None) -> np.ndar
 
 
 def premultiplied_picture(color: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Convert colours [H,W,3] that are multiplied by alpha [H,W], 0..1, to uint8 [H,W,4] with straight alpha."""
+    """Convert color [H,W,3], premultiplied by alpha [H,W] 0..1, to uint8 [H,W,4] with straight alpha."""
     return color_picture(np.clip(color / np.maximum(alpha, 1e-6)[..., None], 0, 1), np.clip(alpha, 0, 1))
 
 
 def normal_picture(normal: np.ndarray, camera: Camera, alpha: np.ndarray) -> np.ndarray:
-    """Convert world normals [H,W,3] to colours uint8 [H,W,4] in the camera's frame.
+    """Convert world normals, normal [H,W,3] and alpha [H,W], to colours uint8 [H,W,4] in the camera's frame.
 
     Red is right, green up, blue towards the camera.
     """
@@ -113,7 +113,7 @@ def normal_picture(normal: np.ndarray, camera: Camera, alpha: np.ndarray) -> np.
 
 
 def depth_picture(depth: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Convert depths [H,W] to grey uint8 [H,W,4]: near is light, far is dark, and 0 is nothing.
+    """Convert depth [H,W] and alpha [H,W] to grey uint8 [H,W,4]: near is light, far is dark, and 0 is nothing.
 
     The range is that between the depths' 1st and 99th percentile.
     """

@@ -4,8 +4,9 @@ Each pixel's ray ends on the support plane or on the background's surfels. The r
 the nearest other cameras see at that place. It includes the object's shadow on the plane, which is the same in all
 photographs.
 
-A place that no other photograph certainly shows as background lies under the object or between its parts. There,
-photo-consistency tells both apart: the other photographs are compared at the background point and at points above it.
+Some places lie under the object or between its parts, and no other photograph certainly shows background there. For
+such a pixel, photo-consistency decides between object and background. It compares the photographs at the background
+point and at points above it.
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ Window = tuple[slice, slice]
 class ExpectedBackground:
     """The background's colours in a window of a photograph.
 
-    color [h,w,3]: the median of the samples, sRGB 0..1. spread [h,w]: the median absolute deviation of the samples, in
-    the channel that differs most. known [h,w] bool: whether there are enough samples.
-
-    behind, above [h,w]: photo-consistency where the background is unknown, as a squared colour difference; infinite
-    elsewhere. Of the differences from the other photographs, the `agreeing`-th smallest one counts, whatever that
-    photograph shows there. `behind` is at the background point, `above` at the best of the points above the support
-    plane on the same ray.
+    color [h,w,3]: the median of the samples, sRGB 0..1.
+    spread [h,w]: the median absolute deviation of the samples, in the channel that differs most.
+    known [h,w] bool: whether there are enough samples.
+    behind, above [h,w]: the photo-consistency where the background is unknown, as a squared colour difference;
+    infinite elsewhere. `behind` is measured at the background point. `above` is measured at the best of the points on
+    the same ray above the support plane. Both are the `agreeing`-th smallest difference from the other photographs,
+    which need not show background there.
     """
 
     color: np.ndarray
@@ -53,9 +54,11 @@ class ExpectedBackground:
 class BackgroundSources:
     """The photographs, surfels and support plane from which the background is rendered.
 
-    cameras, images: the photographs, [H,W,3] uint8 sRGB. clear [H,W] uint8, for each photograph: 255 where it certainly
-    shows background, else 0. surfels: those of the background. plane: the support plane, None without one.
-    options: of the rendering.
+    cameras, images: the photographs, [H,W,3] uint8 sRGB.
+    clear [H,W] uint8, for each photograph: 255 where it certainly shows background, else 0.
+    surfels: the surfels of the background.
+    plane: the support plane, None without one.
+    options: the options of the rendering.
     """
 
     cameras: Sequence[Camera]
@@ -128,9 +131,9 @@ class BackgroundSources:
         return behind, above
 
     def _difference(self, camera: Camera, own: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Return the squared differences [P] of colours [P,3] from other photographs at places [P,3].
+        """Return the squared differences [P] of colours `own` [P,3] from other photographs at places [P,3].
 
-        Of each place, the `options.agreeing`-th smallest one counts.
+        For each place, the result is the `options.agreeing`-th smallest difference.
         """
         smallest = np.full((self.options.agreeing, len(places)), np.inf, np.float32)  # sorted, the least first
         for index in self._order(camera):

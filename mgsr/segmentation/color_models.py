@@ -1,7 +1,7 @@
-"""Colour models of the object and of the support plane, from pixels that certainly show either.
+"""Colour models of the object and of the support plane, from pixels that certainly show one of them.
 
-A place under the object or between its parts is often seen too rarely for photo-consistency. Its colour still tells
-whether it looks like the object or like the plane around it.
+Often too few photographs show a place under the object or between its parts for photo-consistency. But its colour can
+be compared with the colours of the object and of the plane around it.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from mgsr.segmentation.support_plane import SupportPlane
 class ColorModels:
     """Samples of the object's and of the support plane's colours, sRGB 0..1, and the options of their comparison.
 
-    The distance of a colour from a model is that to the `neighbours`-th nearest sample, so a few stray samples do not
-    count (k-nearest-neighbour density estimation, Loftsgaarden and Quesenberry 1965).
+    The distance of a colour from a model is its distance to the `neighbours`-th nearest sample. So a few stray samples
+    have no effect (k-nearest-neighbour density estimation, Loftsgaarden and Quesenberry 1965).
     """
 
     object: cKDTree
@@ -31,7 +31,7 @@ class ColorModels:
     options: ColorModelOptions
 
     def costs(self, colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the labels object and background cost at colours [P,3], sRGB 0..1: two arrays [P], not capped."""
+        """Return the uncapped costs [P] of the labels object and background at colours [P,3], sRGB 0..1."""
         return self._cost(self.object, colors), self._cost(self.support, colors)
 
     def _cost(self, samples: cKDTree, colors: np.ndarray) -> np.ndarray:
@@ -46,7 +46,7 @@ def color_models(
     supports: Sequence[np.ndarray],
     options: ColorModelOptions = ColorModelOptions(),
 ) -> ColorModels | None:
-    """Sample the colour models from photographs [H,W,3] uint8 sRGB; None where too few pixels are certain.
+    """Sample the colour models from photographs `images` [H,W,3] uint8 sRGB; None if too few pixels are certain.
 
     objects, supports [H,W] bool: the pixels of each photograph that certainly show the object and the support plane.
     The same photographs give the same models.

@@ -62,9 +62,11 @@ def matte(
 ) -> Matte:
     """Compute the object's matte in a photograph, inside a region [H,W] bool.
 
-    image [H,W,3] uint8 sRGB. surfels: the object's. silhouette [H,W]: signed distances to the silhouette of the
-    object's hull, in pixels, positive inside; None while the hull is unknown. models: the colour models, which count
-    where the background is unknown; None while they are unknown.
+    image [H,W,3]: uint8 sRGB.
+    surfels: the object's surfels.
+    silhouette [H,W]: signed distances to the silhouette of the object's hull, in pixels, positive inside; None while
+    the hull is unknown.
+    models: the colour models, which decide where the background is unknown; None while they are unknown.
     """
     found = Matte(np.zeros(region.shape, np.float32), np.zeros(region.shape, bool), np.zeros(region.shape, bool))
     bounds = bounding_region(region, options.margin)
@@ -83,7 +85,7 @@ def matte(
     as_background = np.where(tested, _cost(background.behind, options.guessed**2, options), as_background)
     as_object = np.where(tested, np.minimum(as_object, above), as_object)
     if models is not None and tested.any():
-        # Each label needs both: photo-consistency where it places the pixel, and a colour that its model knows.
+        # A label is cheap only if the photographs agree at its place and its model contains the pixel's colour.
         unlike_object, unlike_support = (np.minimum(cost, options.max_cost) for cost in models.costs(part[tested]))
         as_object[tested] = np.maximum(as_object[tested], unlike_object)
         as_background[tested] = np.maximum(as_background[tested], unlike_support)
@@ -110,7 +112,7 @@ def _cost(squared: np.ndarray, variance: np.ndarray | float, options: MatteOptio
 
 
 def without_small_holes(share: np.ndarray, largest: float = MatteOptions().max_hole) -> np.ndarray:
-    """Return the shares [h,w] with holes of the object filled whose area is below `largest`, a share of the mask's."""
+    """Fill small holes of the object in shares [h,w]; largest: their largest area, as a share of the mask's."""
     mask = share > 0.5
     holes, count = ndimage.label(ndimage.binary_fill_holes(mask) & ~mask)
     small = np.bincount(holes.ravel(), minlength=count + 1) < largest * mask.sum()

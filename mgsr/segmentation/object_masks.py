@@ -47,9 +47,10 @@ from mgsr.training.run import Training
 class FoundObject:
     """The object that a capture shows.
 
-    train, test: its masks [H,W] uint8, 0..255, in the order of the scene's views. agreement [V]: the intersection over
-    union of each training view's mask and the hull's silhouette. box [2,3]: the least and the largest corner of its
-    hull, in the scene's frame. plane: the support plane, None if the user gave a box and no plane was found.
+    train, test: its masks [H,W] uint8, 0..255, in the order of the scene's views.
+    agreement [V]: the intersection over union of each training view's mask and the hull's silhouette.
+    box [2,3]: the least and the largest corner of its hull, in the scene's frame.
+    plane: the support plane, None if the user gave a box and no plane was found.
     """
 
     train: list[np.ndarray]
@@ -78,10 +79,12 @@ def find_object(
 ) -> FoundObject | NoObject:
     """Find the object in a scene without masks; the same seed gives the same masks.
 
-    start: points of the whole scene. box [2,3]: the least and the largest corner of a box around the object, in the
-    scene's frame, from the user; None: the object stands in the middle of the scene. ground [4]: the plane on which it
-    stands, in the scene's frame, from the user (see `Scene.ground`); None: it is searched for. progress: receives the
-    share of the work that is done, 0..1.
+    start: points of the whole scene.
+    box [2,3]: the least and the largest corner of the user's box around the object, in the scene's frame; None: the
+    object stands in the middle of the scene.
+    ground [4]: the user's plane on which the object stands, in the scene's frame (see `Scene.ground`); None: the plane
+    is searched for.
+    progress: receives the share of the work that is done, 0..1.
 
     Raises Cancelled once should_stop returns True, and TrainingError if training fails.
     """
@@ -115,9 +118,10 @@ def find_object(
 class _FirstLabels:
     """The object's first surfels, from geometry alone.
 
-    standing [N] bool: the object's surfels. box [2,3]: the box that the user gave, else the box around these surfels
-    and their feet on the plane, in the scene's frame. heights [N]: of all surfels above the plane, in the scene's unit;
-    infinite without a plane. plane: the support plane, None without one.
+    standing [N] bool: the object's surfels.
+    box [2,3]: the user's box, else the box around these surfels and their feet on the plane, in the scene's frame.
+    heights [N]: the heights of all surfels above the plane, in the scene's unit; infinite without a plane.
+    plane: the support plane, None without one.
     """
 
     standing: np.ndarray
@@ -129,9 +133,10 @@ class _FirstLabels:
 class _Search:
     """The alternating refinement of masks, hull and surfel labels.
 
-    labels [N] bool: the object's surfels. masks [H,W] bool: in the small photographs. silhouettes [H,W]: signed
-    distances to the hull's silhouettes, in pixels of the small photographs, positive inside; None before the first
-    round.
+    labels [N] bool: the object's surfels.
+    masks [H,W] bool: the masks in the small photographs.
+    silhouettes [H,W]: signed distances to the hull's silhouettes, in pixels of the small photographs, positive inside;
+    None before the first round.
     """
 
     def __init__(
@@ -398,7 +403,7 @@ def _doubt(masks: Sequence[np.ndarray], agreement: np.ndarray, options: ObjectSe
 def _cut_off(mask: np.ndarray, least: float) -> bool:
     """Return whether the image's border cuts through a mask [H,W] bool.
 
-    least: the pixels on the border, over the square root of the mask's area, above which it does.
+    least: the threshold on the number of the mask's border pixels, divided by the square root of the mask's area.
     """
     border = sum(int(line.sum()) for line in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
     cut: bool = border > least * float(mask.sum()) ** 0.5

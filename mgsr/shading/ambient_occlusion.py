@@ -1,8 +1,9 @@
 """Ambient occlusion and one-bounce interreflection of a surface.
 
-A matte point is equally bright from all directions. So the first bounce (radiosity) at a point is the mean of what a
-photograph shows of the surface around it, weighted by the cosine and by the share of the point's sky that each part
-fills. Occlusion and interreflection vary slowly along a surface, so a coarse mesh is enough.
+A matte point is equally bright from all directions, so photographs show the light that it sends to other points. The
+first bounce (radiosity) at a point is the mean of the brightness of the surface around it. Each part of the surface
+weighs by the cosine and by the share of the point's sky that it fills. Occlusion and interreflection vary slowly along
+a surface, so a coarse mesh is enough.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ TURN = np.pi * (3 - np.sqrt(5))  # radians from ray to ray: the golden angle spr
 class AmbientOcclusion:
     """Cosine-weighted ambient occlusion and interreflection at the vertices of a coarse mesh of the surface.
 
-    sky_visibility [V]: the visible share of each vertex's sky, 0..1. interreflection [V,N]: the light that the surface
-    itself sends to each vertex, in N photographs, in linear light.
+    sky_visibility [V]: the visible share of each vertex's sky, 0..1.
+    interreflection [V,N]: the linear light that the surface itself sends to each vertex, in N photographs.
     """
 
     mesh: Mesh
@@ -80,11 +81,11 @@ def _shown(mesh: Mesh, photograph: Photograph, gap: float, min_cosine: float) ->
 
 @dataclass(frozen=True)
 class Hemispheres:
-    """What the vertices of a mesh see above themselves, weighted by the cosine to their normals.
+    """The hemispheres above the vertices of a mesh, weighted by the cosine to their normals.
 
-    surface [V,V]: the share of each vertex's sky (row) that every other vertex (column) fills. sky [V,9]: the mean of
-    each of the real spherical harmonics up to degree 2 over the whole sky, where it counts 0 in hidden directions.
-    Irradiance by light with coefficients c [9] is `sky @ c`.
+    surface [V,V]: the share of each vertex's sky (row) that every other vertex (column) fills.
+    sky [V,9]: the mean of each real spherical harmonic up to degree 2 over the whole sky; hidden directions count as
+    0. The irradiance by light with coefficients c [9] is `sky @ c`.
     """
 
     surface: sparse.csr_matrix
@@ -97,7 +98,7 @@ class Hemispheres:
 
 
 def trace_hemispheres(mesh: Mesh, gap: float, rays: int = OcclusionOptions().rays) -> Hemispheres:
-    """Trace what each vertex of a mesh sees.
+    """Trace the hemisphere above each vertex of a mesh.
 
     gap: the largest depth of a vertex behind the faces around it, in the mesh's unit. Each vertex casts `rays` rays
     with a cosine distribution, on a spiral that is rotated from vertex to vertex. Faces seen from behind hide nothing.
@@ -125,7 +126,7 @@ def trace_hemispheres(mesh: Mesh, gap: float, rays: int = OcclusionOptions().ray
 
 
 def real_harmonics(directions: np.ndarray) -> np.ndarray:
-    """Return the real spherical harmonics up to degree 2 [P,9] in unit directions [P,3], over their value at degree 0.
+    """Return the real spherical harmonics up to degree 2 [P,9] in unit directions [P,3], divided by that of degree 0.
 
     Source: Ramamoorthi and Hanrahan, 2001.
     """

@@ -1,10 +1,10 @@
 """The fine detail of a surface in photographs, and its derivative with respect to displacements of the surface.
 
-Photographs are compared in one mix of their channels, the one with the steepest detail relative to the residual. Where
-paint differs in hue, that is a difference of channels, which cancels the shading of white light.
+Photographs are compared in one mix of their channels: the mix with the steepest detail relative to the residual. If the
+paint varies in hue, this mix is a difference of channels, which cancels the shading of white light.
 
 A flash lights every photograph differently. If its light is known, brightness is divided by the irradiance. If the
-environment map is known, the detail that gloss mirrors is known too, and observations weigh less where it is strong.
+environment map is known, so is the mirrored detail. Observations weigh less where mirrored detail is strong.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def mix_channels(
     threads: int | None,
     options: DetailOptions = DetailOptions(),
 ) -> list[ChannelMix]:
-    """Mix the channels of photographs by weights [3]; in sRGB, as its noise is more uniform than linear light's."""
+    """Mix the channels of photographs by weights [3], in sRGB, whose noise is more uniform than linear light's."""
 
     def mixed(photograph: Photograph) -> ChannelMix:
         inside = photograph.opaque
@@ -143,9 +143,10 @@ def choose_mix(
 class Details:
     """The detail of V vertices in K photographs, each [V,K] float32.
 
-    mixed: the mix at the vertex minus its mean around. change: the derivative of `mixed` by displacements of the vertex
-    along its normal, in pixels. mirrored: the mirrored detail at the vertex and around it, as normals are inaccurate.
-    weights: 0 where the vertex is not visible.
+    mixed: the mix at the vertex minus its mean around the vertex.
+    change: the derivative of `mixed` by displacements of the vertex along its normal, in pixels.
+    mirrored: the mirrored detail at the vertex and around it, because normals are inaccurate.
+    weights: the weight of the observation, 0 where the vertex is not visible.
     """
 
     mixed: np.ndarray

@@ -24,9 +24,9 @@ from mgsr.shading.observations import Observations
 class FittedEnvironmentMap:
     """An environment map fitted to observations.
 
-    light [H,2H]: float32 linear light, up to a constant; polar angle by azimuth. deviation: the root mean square
-    residual of the observations, in linear light. ratio: of that to the deviation without a map, from each point's mean
-    brightness.
+    light [H,2H]: float32 linear light, up to a constant; rows are polar angles, columns azimuths.
+    deviation: the root mean square residual of the observations, in linear light.
+    ratio: `deviation` divided by the observations' deviation from each point's mean brightness, which needs no map.
     """
 
     light: np.ndarray
@@ -125,7 +125,7 @@ class _EnvironmentEquations:
         return solution
 
     def residual(self, light: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return the residuals [Q] of a map [C], with each point's diffuse brightness by weights [Q]."""
+        """Return the residuals [Q] of a map `light` [C], with each point's diffuse brightness by weights [Q]."""
         return self._without_own(self.brightness - self.rows @ light, weights)
 
     def _without_own(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -42,7 +42,7 @@ def normals_from_environment(
     environment = fit_environment_map(observations, own, options=options.fit)
 
     def best(around: np.ndarray, max_tilt: float, step: float, mean_cost: float | None) -> _Best:
-        """Search tilts of the unit normals `around` [P,3]; their tilts from `own` cost as mean_cost says."""
+        """Search tilts of the unit normals `around` [P,3]; mean_cost scales the cost of their tilts from `own`."""
         tilts = np.tan(np.radians(np.arange(-max_tilt, max_tilt + step / 2, step)))
         first, second = tangents(around)
         frames = np.stack([first, second, around], axis=1)

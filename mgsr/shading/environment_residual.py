@@ -1,7 +1,7 @@
 """The photometric residual of a surface under diffuse paint and a mirrored environment map.
 
 On a correct surface, each point has the same diffuse brightness in all photographs, and its reflections come from one
-environment map. On a wrong surface, a point shows other places from view to view. So of two surfaces at the same pixel,
+environment map. On a wrong surface, a point shows a different place in each view. So of two surfaces at the same pixel,
 the one with the lower residual is more likely.
 """
 
@@ -28,8 +28,8 @@ class EnvironmentResidual:
     """The photometric residual of a mesh under a mirrored environment map.
 
     variance [V]: the residual variance around each vertex after the diffuse and the mirrored term, in squared linear
-    light; 0 where observations are too few. ratio: the share of the observations' deviation that the environment map
-    leaves unexplained on the whole surface.
+    light; 0 where observations are too few.
+    ratio: the share of the observations' deviation on the whole surface that the environment map does not explain.
     """
 
     mesh: Mesh
@@ -46,7 +46,7 @@ class EnvironmentResidual:
 def environment_residuals(
     meshes: Sequence[Mesh], photos: PhotoSet, options: EnvironmentOptions = EnvironmentOptions()
 ) -> list[EnvironmentResidual]:
-    """Return each mesh's residual; the variances use one map for all, the one with the least ratio on its own mesh."""
+    """Return each mesh's residual; all variances use one map, the map with the least ratio on its own mesh."""
     read = []
     for mesh in meshes:
         pixel = photos.pixel_on(mesh)

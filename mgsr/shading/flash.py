@@ -3,7 +3,7 @@
 On a matte surface under a point light, brightness times the squared distance is albedo x cosine of the tilt (Lambert),
 in linear light. Several views of a point determine three unknowns, its normal times its albedo, by least squares
 (photometric stereo, Woodham 1980). Highlights are brighter than the model, and reweighting removes them. Where the mesh
-is off the surface, each view shows another place, and the larger residual lowers the confidence.
+is off the surface, each view shows a different place, and the larger residual lowers the confidence.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ CHUNK = 4096  # points at a time
 class Flash:
     """A lamp that moves with the camera, and the other light on a surface.
 
-    right, down: the lamp's offset from the lens, along the camera's x and y axes, in the scene's unit. ambient: the
-    ambient light, relative to the lamp's light at a distance of 1. bounced: the factor of the interreflected light, on
-    the same scale.
+    right, down: the lamp's offset from the lens, along the camera's x and y axes, in the scene's unit.
+    ambient: the ambient light, relative to the lamp's light at a distance of 1.
+    bounced: the factor of the interreflected light, on the same scale.
     """
 
     right: float = 0.0
@@ -160,7 +160,7 @@ def least_squares_scale(brightness: np.ndarray, shape: np.ndarray, weights: np.n
 
 
 def deviation(residual: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the weighted root mean square [P] of the residuals [P,K]; weights [P,K]."""
+    """Return the weighted root mean square [P] of residual [P,K]; weights [P,K]."""
     deviations: np.ndarray = np.sqrt((weights * residual * residual).sum(1) / np.maximum(weights.sum(1), 1e-9))
     return deviations
 
@@ -168,9 +168,9 @@ def deviation(residual: np.ndarray, weights: np.ndarray) -> np.ndarray:
 def irls_weights(residual: np.ndarray, weights: np.ndarray, current: np.ndarray, options: FlashOptions) -> np.ndarray:
     """Return robust weights [P,K], which are lower for larger residuals.
 
-    residual [P,K]. weights [P,K]: the weights without regard to the residuals. current [P,K]: the weights of the
-    previous round, which give the residuals' deviation. Bright outliers, such as highlights, lose more weight than dark
-    ones.
+    Bright outliers, such as highlights, lose more weight than dark ones. residual [P,K]: in linear light. weights
+    [P,K]: the weights without regard to the residuals. current [P,K]: the weights of the previous round, which give the
+    residuals' deviation.
     """
     spread = deviation(residual, current)[:, None] + 1e-6
     high, low = np.maximum(residual, 0) / (options.above * spread), np.minimum(residual, 0) / (options.below * spread)

@@ -1,4 +1,4 @@
-"""Calibration of a flash: its offset from the lens and the other light, four parameters for a whole capture.
+"""Calibration of a flash: four parameters for a whole capture, its offset from the lens and the other light.
 
 An unmodelled offset of a few centimetres tilts all estimated normals. Unmodelled ambient light and interreflection
 flatten them. The observations of all points together determine the parameters, by Gauss-Newton with the points' albedos
@@ -55,9 +55,10 @@ def fit_flash(
 class _FlashEquations:
     """The shading equations of P points in K photographs each.
 
-    to_lens [P,K,3]: the vector to the lens, in the scene's frame and unit. sides [P,K,2,3]: the camera's x and y axes.
-    cosines [P,K], tilts [P,K,2]: the components of to_lens and sides along the normal. ambient [P,K,2]: the sky
-    visibility and the interreflected light.
+    to_lens [P,K,3]: the vector to the lens, in the scene's frame and unit.
+    sides [P,K,2,3]: the camera's x and y axes.
+    cosines [P,K], tilts [P,K,2]: the components of to_lens and of sides along the normal.
+    ambient [P,K,2]: the sky visibility and the interreflected light.
     """
 
     to_lens: np.ndarray

@@ -1,9 +1,11 @@
-"""The gloss of a surface: how rough it is, whether it is a metal, and the environment that it mirrors.
+"""The gloss of a surface: its roughness, whether it is a metal, and the environment that it mirrors.
 
-The photographs of a glossy surface are explained by one environment map, blurred by the surface's roughness (GGX;
-Walter et al., 2007), reflected by Fresnel's law, and a matte part that looks the same from all sides. Metals and black
-dielectrics have no matte part; Fresnel's law tells them apart. A map can hold blurred light as well as sharp light, but
-no light is negative: so the photographs tell the roughness where the environment has lamps or edges.
+A glossy surface shows a matte part, which looks the same from all sides, and a mirrored environment map. The roughness
+blurs the map (GGX; Walter et al., 2007), and Fresnel's law scales it. Metals and black dielectrics have no matte part.
+Fresnel's law distinguishes these two.
+
+A map of blurred light and a rough surface look alike. But a map is nowhere negative, which limits how sharp a rough
+surface can look. So the photographs determine the roughness where the environment has lamps or edges.
 """
 
 from __future__ import annotations
@@ -27,15 +29,19 @@ from mgsr.shading.material import MATTE, Material
 from mgsr.shading.observations import observe_photographs, sample_image
 
 ROUGHNESSES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.8)
-TILTS = (0.3, 0.6, 1.0)  # cosines of the tilts at which the lobes are computed; between them they are blended
+TILTS = (0.3, 0.6, 1.0)  # cosines of the tilts at which lobes are computed; other tilts blend these lobes
 
 
 @dataclass(frozen=True)
 class Mirrorings:
     """Q observations of P points: what each photograph shows of a point.
 
-    owners [Q]: the point. directions [Q,3]: unit, where it mirrors the line of sight to. cosines [Q]: of the tilt.
-    colors [Q,3]: linear light. weights [Q]. training [Q] bool: not held out.
+    owners [Q]: the index of the point.
+    directions [Q,3]: the mirrored line of sight, as unit vectors.
+    cosines [Q]: the cosine of the surface's tilt.
+    colors [Q,3]: the observed linear light.
+    weights [Q]: the weight of the observation.
+    training [Q] bool: False for observations of held-out photographs.
     """
 
     owners: np.ndarray
@@ -53,7 +59,7 @@ def mirrorings(
     threads: int | None = None,
     options: GlossOptions = GlossOptions(),
 ) -> Mirrorings:
-    """Collect what photographs show of a mesh's vertices, without those whose mirrored ray meets the mesh again.
+    """Collect the observations of a mesh's vertices, except where the mirrored ray meets the mesh again.
 
     gap: the largest depth of a vertex behind the mesh, in the scene's unit.
     """
@@ -90,7 +96,7 @@ class Substance(Enum):
 
 
 def fit_gloss(seen: Mirrorings, options: GlossOptions = GlossOptions()) -> Material:
-    """Fit the material of a glossy surface to its observations; MATTE where gloss does not explain them better."""
+    """Fit the material of a glossy surface to its observations; return MATTE if gloss does not explain them better."""
     gray = seen.colors.mean(axis=1)
     if not (gray[seen.training].any() and gray[~seen.training].any()):
         return MATTE
@@ -139,7 +145,7 @@ class _Fit:
     """The equations of one substance."""
 
     def __init__(self, seen: Mirrorings, rows: sparse.csr_matrix, substance: Substance, options: GlossOptions) -> None:
-        """Prepare the fit; rows [Q,2*height^2] sample a map where the points mirror to."""
+        """Prepare the fit; rows [Q,2*height^2] sample a map in the mirrored directions."""
         self.metallic = substance is Substance.METAL
         self._matte = substance is Substance.DIELECTRIC
         self._seen, self._options = seen, options
@@ -149,10 +155,10 @@ class _Fit:
         self._lobes: dict[float, list[GgxLobe]] = {}
 
     def solve(self, values: np.ndarray, roughness: float, start: np.ndarray, steps: int) -> np.ndarray:
-        """Return the light [2*height^2], nowhere negative, that best explains values [Q] of the training photographs.
+        """Return the non-negative light [2*height^2] that best explains values [Q] of the training photographs.
 
-        It is multiplied by the reflectance at normal incidence. start [2*height^2]: the first guess. steps: of the
-        optimiser, at most.
+        The light includes the factor of the reflectance at normal incidence. start [2*height^2]: the first guess.
+        steps: the most steps of the optimiser.
         """
         lobes, share = self._lobes_of(roughness), self._share(roughness)
         weights = self._seen.weights * self._seen.training
@@ -189,12 +195,12 @@ class _Fit:
         return float(np.sqrt((judged * clipped).sum() / max(judged.sum(), 1e-9)))
 
     def spread(self, lights: np.ndarray, roughness: float) -> np.ndarray:
-        """Return the light [Q,...] of a map [2*height^2,...] that the points mirror."""
+        """Return the light [Q,...] that the observed points mirror of a map `lights` [2*height^2,...]."""
         lobes = self._lobes_of(roughness)
         return np.asarray(sum(rows @ lobe.blur(lights) for rows, lobe in zip(self._rows, lobes, strict=True)))
 
     def _centred(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return values [Q] less each point's mean by weights [Q], where a matte part may explain it."""
+        """Subtract each point's weighted mean from values [Q] if the substance has a matte part; weights [Q]."""
         if not self._matte:
             return values
         owners = self._seen.owners
@@ -202,15 +208,15 @@ class _Fit:
         return np.asarray(values - mean[owners])
 
     def _share(self, roughness: float) -> np.ndarray:
-        """Return the mirrored share [Q] of each observation, relative to the reflectance at normal incidence."""
+        """Return the mirrored share [Q] of each observation, divided by the reflectance at normal incidence."""
         if self.metallic:
             return mirrored_share(self._seen.cosines, roughness, 1.0)
         return mirrored_share(self._seen.cosines, roughness, self._options.dielectric) / self._options.dielectric
 
     def _lobes_of(self, roughness: float) -> list[GgxLobe]:
-        """Return the lobes at the cosines TILTS for a roughness, of which the last are kept.
+        """Return the lobes of a roughness at the cosines TILTS; the lobes of the last roughness are cached.
 
-        Across the plane of the tilt, a lobe narrows with the cosine. It is replaced by a round one of the same area.
+        Across the plane of the tilt, a lobe narrows with the cosine. A round lobe of the same area replaces it.
         """
         if roughness not in self._lobes:
             widths = [roughness * cosine**0.25 for cosine in TILTS]
@@ -219,15 +225,15 @@ class _Fit:
 
 
 def _hats(cosines: np.ndarray) -> list[np.ndarray]:
-    """Return the weights [Q] of TILTS that interpolate between them at cosines [Q]."""
+    """Return, for each of TILTS, its weights [Q] in the linear interpolation at cosines [Q]."""
     return [np.interp(cosines, TILTS, row) for row in np.eye(len(TILTS))]
 
 
 def mirrored_share(cosines: np.ndarray, roughness: float, reflectance: float) -> np.ndarray:
     """Return the share [...] of a uniform light that a rough surface mirrors at cosines [...] of the tilt.
 
-    reflectance: at normal incidence. It is the integral of GGX with Schlick's and Smith's terms over microfacets drawn
-    by their area (Karis, 2013).
+    reflectance: at normal incidence. The share is the integral of GGX with Schlick's and Smith's terms over
+    microfacets, which are drawn by area (Karis, 2013).
     """
     tilts, steps = np.linspace(0.02, 1, 50)[:, None], (np.arange(32) + 0.5) / 32
     chance, turn = (each.ravel() for each in np.meshgrid(steps, np.pi * steps))
@@ -246,8 +252,8 @@ def mirrored_share(cosines: np.ndarray, roughness: float, reflectance: float) ->
 class GgxLobe:
     """The lobe of a rough mirror seen head-on, which blurs maps of height x 2 height cells.
 
-    It is GGX with width roughness^2, times the cosine (Karis, 2013). Its cells depend on the difference of azimuths
-    alone, so that a blur is a product for each frequency of the azimuth.
+    The lobe is GGX with width roughness^2, times the cosine (Karis, 2013). It depends only on the difference of
+    azimuths. A blur is therefore a matrix product for each frequency of the azimuth.
     """
 
     def __init__(self, roughness: float, height: int) -> None:
@@ -262,7 +268,7 @@ class GgxLobe:
         self._height, self._spectrum = height, np.fft.rfft(lobe, axis=2).real.transpose(2, 0, 1).copy()
 
     def blur(self, light: np.ndarray) -> np.ndarray:
-        """Return the light [2*height^2,...] that the mirror sends out where it mirrors each cell of a map alike."""
+        """Blur a map `light` [2*height^2,...]: average it at each cell, weighted by the lobe around that cell."""
         return self._filtered(light, self._spectrum)
 
     def gather(self, values: np.ndarray) -> np.ndarray:

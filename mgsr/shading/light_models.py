@@ -68,7 +68,7 @@ class FlashLight:
         given = observations, points, mesh.double_normals, self._cameras, occlusion
         flash = fit_flash(*given, self._flash, self._options)
         sky_visibility, interreflection = occlusion.at(points, observations.photographs)
-        # Interreflection varies little between photographs, so its mean over those that show the place is enough.
+        # Interreflection varies little between photographs, so the mean over the photographs of a vertex suffices.
         seen = observations.weights > 0
         bounced = (interreflection * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
         ambient = flash.ambient * sky_visibility + flash.bounced * bounced

@@ -1,7 +1,7 @@
 """Irradiance of a surface by a flash, for any camera.
 
-A lamp on the camera moves with it, and so do shading and shadows. Once lamp and surface are known, both can be computed
-for each photograph. The remaining brightness, which training learns, changes little between views.
+A lamp on the camera moves with it, and so do shading and shadows. Once lamp and surface are known, shading and shadows
+can be computed for each photograph. Training learns the remaining brightness, which changes little between views.
 """
 
 from __future__ import annotations
@@ -29,11 +29,14 @@ BAND = 1 << 18  # approximate number of rays in a batch
 class Lighting:
     """A surface and the lamp that lights it.
 
-    right, down: the lamp's offset from the lens along the camera's x and y axes, in the scene's unit. lamp: the
-    irradiance of a surface that faces the lamp at a distance of 1. ambient [V]: the other irradiance of each vertex.
-    Both are relative to the brightest irradiance in the photographs. proxy_vertex [V]: the vertex that stands in for
-    each vertex in the lighting: itself if a photograph shows it, else the nearest vertex that one shows, as the unseen
-    surface may be folded. options: of the irradiance.
+    lamp and ambient are relative to the brightest irradiance in the photographs.
+
+    right, down: the lamp's offset from the lens along the camera's x and y axes, in the scene's unit.
+    lamp: the irradiance of a surface that faces the lamp at a distance of 1.
+    ambient [V]: the other irradiance of each vertex.
+    proxy_vertex [V]: the vertex that replaces each vertex in the lighting. A visible vertex is its own proxy. Another
+    vertex has the nearest visible one, because the unseen surface may be folded.
+    options: the options of the irradiance.
     """
 
     mesh: Mesh

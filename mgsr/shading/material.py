@@ -1,4 +1,4 @@
-"""The physically based material of a surface: how rough it is, and whether it is a metal."""
+"""The physically based material of a surface: its roughness, and whether it is a metal."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ import numpy as np
 class Material:
     """A material's constants, as in glTF's metallic-roughness model.
 
-    roughness: 0..1; its square is the width of the GGX lobe. roughness_range: the roughnesses that explain the
-    photographs as well; None where they do not tell, and the surface counts as matte. metallic: 0 for dielectrics, 1
-    for metals. tint [3]: a metal's reflectance, linear 0..1; None for a dielectric. light [H,2H,3]: the environment
-    that the surface mirrors, or that shades it if it is matte, linear radiance in the photographs' unit, rows by the
-    polar angle from the frame's z, columns by the azimuth from its x; None where it is not known.
+    roughness: 0..1; its square is the width of the GGX lobe.
+    roughness_range: the roughnesses that explain the photographs about as well; None if the photographs do not
+    determine the roughness. Then the surface counts as matte.
+    metallic: 0 for dielectrics, 1 for metals.
+    tint [3]: a metal's reflectance, linear 0..1; None for a dielectric.
+    light [H,2H,3]: the environment that a glossy surface mirrors or that shades a matte one, as linear radiance in the
+    photographs' unit. Rows are polar angles from the frame's z, columns azimuths from its x. None if it is unknown.
     """
 
     roughness: float = 1.0
@@ -26,11 +28,11 @@ class Material:
 
     @property
     def matte(self) -> bool:
-        """Return whether the photographs tell of no gloss."""
+        """Return whether the photographs show no gloss."""
         return self.roughness_range is None
 
     def mean_light(self) -> np.ndarray | None:
-        """Return the mean [3] of the light over all directions; None where it is not known."""
+        """Return the mean [3] of the light over all directions; None if the light is unknown."""
         if self.light is None:
             return None
         areas = np.sin((np.arange(len(self.light)) + 0.5) / len(self.light) * np.pi)

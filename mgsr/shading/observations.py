@@ -20,9 +20,11 @@ from mgsr.parallel import map_ahead
 class Observations:
     """Observations of P points, each in at most K photographs, float32.
 
-    view_directions [P,K,3]: unit directions to the camera, in the scene's frame. distances [P,K]: to the camera, in the
-    scene's unit. brightness [P,K]: the mean of the channels in linear light. weights [P,K]: the cosine of the tilt
-    where the point is visible at a usable pixel, else 0. photographs [P,K] int: the photographs' indices.
+    view_directions [P,K,3]: unit directions to the camera, in the scene's frame.
+    distances [P,K]: the distance to the camera, in the scene's unit.
+    brightness [P,K]: the mean of the channels in linear light.
+    weights [P,K]: the cosine of the tilt where the point is visible at a usable pixel, else 0.
+    photographs [P,K] int: the photographs' indices.
     """
 
     view_directions: np.ndarray

@@ -1,14 +1,15 @@
 """Photometric multi-view refinement: a surface is moved to where it is photo-consistent.
 
 Where a mesh lies before or behind the true surface, the photographs show different places at the same vertex. Fine
-texture and creases determine the displacement. Coarser variation is left out, as it includes shading and highlights,
-which have a parallax of their own. The method is Lucas and Kanade's (1981) registration with one displacement for each
-vertex, along its normal, under a thin-plate prior: variational stereo, as in Faugeras and Keriven (1998) and Vu and
-others (2012).
+texture and creases determine the displacement. Coarser variation is left out, because it includes shading and
+highlights, which move differently between views.
 
-Reflections move across the surface even under static light. If the environment map is known, an observation counts
-less the more mirrored detail surrounds it. The silhouette contours must hold the surface, as parallax alone pulls it
-inwards: by 0.3% of the radius from the ground truth of a painted cow.
+The method is variational stereo, as in Faugeras and Keriven (1998) and Vu and others (2012). It registers photographs
+as Lucas and Kanade (1981) do, with one displacement for each vertex, along its normal, under a thin-plate prior.
+
+Reflections move across the surface even under static light. If the environment map is known, an observation weighs less
+where the mirrored detail around it is stronger. The silhouette contours must hold the surface, because parallax alone
+pulls it slightly inwards.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The photometric residual of a surface under a flash, for the detection of missing holes.
 
-The light of a flash on the camera is fully known. So a place has the same brightness in all photographs once the
-irradiance is divided out. Where photographs differ by more than the surface's position error explains, they see past
-the surface, for example into a hole that it covers.
+The light of a flash on the camera is fully known. Once the irradiance is divided out, a place has the same brightness
+in all photographs. Larger differences than the surface's position error explains show that the surface is wrong there.
+For example, it covers a hole.
 """
 
 from __future__ import annotations

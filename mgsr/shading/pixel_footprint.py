@@ -1,10 +1,11 @@
 """Correction of observations for the footprints of pixels.
 
-A pixel shows the mean of a surface patch, and interpolation between pixels averages over a larger one. So creases look
-flatter than they are, and borders of paint look like shading. The current surface, rendered through the same pixels, is
-blurred in the same way. The change that the blur makes at a point is subtracted from the point's observation. A surface
-that explains the photographs then also explains its observations. This is deferred correction; for images, it is Van
-Cittert's deconvolution (1931).
+A pixel shows the mean of a surface patch, and interpolation between pixels averages over a larger patch. So creases
+look flatter than they are, and borders of paint look like shading.
+
+The current surface, rendered through the same pixels, is blurred in the same way. This module subtracts the effect of
+that blur from each observation. A surface that explains the photographs then also explains its observations. This is
+deferred correction; for images, it is Van Cittert's deconvolution (1931).
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ class StaticLight:
     harmonics: np.ndarray
 
     def environment(self, height: int, freedom: float = StaticLightOptions().freedom) -> np.ndarray:
-        """Return a sky [height,2*height,3], nowhere negative, that gives matte surfaces the same irradiance.
+        """Return a non-negative sky [height,2*height,3] that gives matte surfaces the same irradiance.
 
         Harmonics of a low degree are negative in places, and matte surfaces do not reveal the higher degrees. The
         result is the nearest nonnegative sky with these harmonics. freedom: cost of a change of the radiance, relative
@@ -58,7 +58,7 @@ def fit_static_light(
     seed: int = 0,
     options: StaticLightOptions = StaticLightOptions(),
 ) -> StaticLight:
-    """Find the static light on a mesh's vertices.
+    """Fit the static light on a mesh's vertices.
 
     colors [V,3]: linear radiance of the vertices, which also light each other. If no light explains the colours better,
     the sky is uniform, and only occlusion counts.
@@ -74,7 +74,7 @@ def fit_static_light(
 
 
 def _pairs(mesh: Mesh, seed: int, options: StaticLightOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Return pairs of neighbouring vertices [Q] among some of them, drawn by area."""
+    """Draw vertices in proportion to area, and return the pairs of neighbours among them: two arrays [Q]."""
     areas = np.linalg.norm(mesh.face_crosses, axis=1)
     weights = np.bincount(mesh.faces.ravel(), np.repeat(areas, 3), len(mesh.vertices))
     count = min(options.places, int(np.count_nonzero(weights)))
@@ -92,7 +92,7 @@ def _fit_light(
     second: np.ndarray,
     options: StaticLightOptions,
 ) -> np.ndarray:
-    """Return the light [9] that explains the changes of the log brightness [V] between pairs of vertices [Q].
+    """Fit one channel's light [9] to the changes of log brightness between pairs of vertices.
 
     sky [V,9] and bounced [V]: as in `fit_static_light`, of one channel.
     """
@@ -116,6 +116,6 @@ def _fit_light(
 
 
 def _robust(residuals: np.ndarray, step: float) -> np.ndarray:
-    """Return residuals [Q] whose squares grow like their absolute values beyond `step`."""
+    """Scale residuals [Q] so that the squares of those beyond `step` grow linearly with the residual."""
     scaled = residuals / step
     return np.asarray(step * np.sign(residuals) * np.sqrt(2 * (np.sqrt(1 + scaled * scaled) - 1)))

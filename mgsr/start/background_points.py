@@ -1,8 +1,9 @@
 """Background points where stereo finds none, such as on plain walls.
 
 The background has one distance in each direction from the centre of a capture. Several distances are tried. At the
-right one, the photographs agree about the background's colour, unless they show a known point there. On a plain wall
-they agree at many distances; there the neighbouring directions decide, by iterated conditional modes (Besag 1986).
+right one, the photographs agree about the background's colour. Pixels that show a known point are left out. On a plain
+wall the photographs agree at many distances. There the neighbouring directions decide, by iterated conditional modes
+(Besag 1986).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from mgsr.data.valid_mask import valid_at
 def background_points(
     views: Sequence[View], found: np.ndarray, options: BackgroundPointOptions = BackgroundPointOptions()
 ) -> PointCloud:
-    """Return background points in the directions where photographs show none of the found points; maybe none.
+    """Return background points in the directions where photographs show no found points; the result may be empty.
 
     found [P,3]: in the scene's frame, as are the new points.
     """

@@ -18,8 +18,8 @@ def fill_depth(
 ) -> np.ndarray:
     """Fill the gaps in a view's inverse depth map, and return the filled inverse depths [h,w].
 
-    inverse [h,w]: 1 / camera z, 0 in the gaps. image [h,w,3]: the view's, sRGB 0..255. The result is NaN where all
-    found depths are too far away or beyond an edge.
+    inverse [h,w]: 1 / camera z, 0 in the gaps. image [h,w,3]: the view's image, sRGB 0..255. The result is NaN where
+    all found depths are too far away or beyond an edge.
     """
     found = inverse > 0
     if found.sum() < 3:

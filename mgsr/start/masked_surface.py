@@ -2,8 +2,8 @@
 
 PatchMatch stereo finds concavities that no silhouette shows. It also runs on photographs of half the size, where it
 matches weaker texture at a coarser resolution. On a mirroring surface, stereo finds the reflections, which lie behind
-the surface. So the hull stays where it explains the photographs better, as a whole or in places. Shape from shading and
-photometric refinement then improve the surface.
+the surface. Wherever the hull explains the photographs better, it therefore replaces stereo's surface. Shape from
+shading and photometric refinement then improve the result.
 """
 
 from __future__ import annotations
@@ -81,9 +81,9 @@ def _hull_or_stereo_surface(
 ) -> Mesh:
     """Return the hull's surface if the photographs clearly prefer it, else the surface that stereo finds.
 
-    The hull wins if a mirrored environment map explains the photographs on it. Otherwise stereo's depths are fused, and
-    a pixel weighs less where the hull explains it better. Reflections move across a surface like a pattern behind it,
-    and stereo cannot distinguish the two.
+    Reflections move across a surface like a pattern behind it, and stereo cannot distinguish the two. So if a mirrored
+    environment map explains the photographs on the hull, the hull is kept. Otherwise stereo's depths are fused. A depth
+    weighs less where the hull explains its pixel better.
     """
     outer = Mesh(*hull_surface(hull))
     prepared, fusion = stereo_photographs(photos.views, expert.stereo.max_object_pixels), expert.stereo.fusion
@@ -102,7 +102,7 @@ def _hull_or_stereo_surface(
 
 
 def _far_passes(options: FirstSurfaceOptions) -> Mapping[LightKind, Sequence[ShadingPass]]:
-    """Return the passes on the surface that stereo or the hull give."""
+    """Return the shading passes on the surface of stereo or of the hull."""
     coarse = [options.environment_coarse] * options.environment_repeats
     return {
         LightKind.FLASH: (options.flash_coarse, options.flash_fine),
@@ -111,7 +111,7 @@ def _far_passes(options: FirstSurfaceOptions) -> Mapping[LightKind, Sequence[Sha
 
 
 def _near_passes(options: FirstSurfaceOptions) -> Mapping[LightKind, Sequence[ShadingPass]]:
-    """Return the passes on the surface that photometric refinement has corrected."""
+    """Return the shading passes on the surface after photometric refinement."""
     return {LightKind.ENVIRONMENT: (options.environment_last,)}
 
 
@@ -119,8 +119,9 @@ def _near_passes(options: FirstSurfaceOptions) -> Mapping[LightKind, Sequence[Sh
 class _Matched:
     """Depth maps of photographs at two sizes.
 
-    cameras, maps: a camera for each depth map. weights [h,w]: of each map's pixels. pixel: the size of the finer maps'
-    pixels on the object, in the scene's unit.
+    cameras, maps: a camera for each depth map.
+    weights [h,w]: the weights of each map's pixels.
+    pixel: the size of the finer maps' pixels on the object, in the scene's unit.
     """
 
     cameras: Sequence[Camera]
@@ -154,8 +155,8 @@ def _matched(
 def _believed(camera: Camera, outer: EnvironmentResidual, inner: EnvironmentResidual, disbelieved: float) -> np.ndarray:
     """Return the confidence [H,W] 0..1 in each pixel of stereo's surface.
 
-    It falls as the residual of stereo's surface, `inner`, exceeds that of the hull, `outer`. It is 1 where either
-    residual is unknown. disbelieved: octaves of excess at which it is 0.
+    The confidence falls where the residual of stereo's surface, `inner`, exceeds that of the hull, `outer`. It is 1
+    where either residual is unknown. disbelieved: the excess, in octaves, at which the confidence is 0.
     """
     residual, before = inner.seen_by(camera), outer.seen_by(camera)
     known = (residual > 0) & (before > 0)

@@ -1,8 +1,8 @@
 """Exposures of photographs, estimated from surface points that several of them show.
 
-The model of an observation is log light = log exposure of the photograph + log radiance of the point. Both are fitted
-to all observations by iteratively reweighted least squares with Cauchy weights. So observations of highlights or of
-hidden points count little.
+The model of an observation is log light = log exposure of the photograph + log radiance of the point. Iteratively
+reweighted least squares with Cauchy weights fit both to all observations. Observations of highlights or of hidden
+points therefore count little.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def exposure_gain(
     normals: np.ndarray | None,
     options: PointExposureOptions = PointExposureOptions(),
 ) -> float | None:
-    """Return by how much exposures explain observations to which they were not fitted, in dB.
+    """Return the gain, in dB, by which exposures explain observations to which they were not fitted.
 
     The exposures of each view are fitted to the points in one half of its image, and tested on those in the other half.
     The result compares the median absolute deviations from the points' radiance without and with these exposures. It is
@@ -65,10 +65,10 @@ def exposure_gain(
 
 @dataclass(frozen=True)
 class _Observations:
-    """What views show of points.
+    """The observations of points in views.
 
     log_light [V,P,3] float32: the log of linear light; NaN where unusable. left [V,P] bool: whether the point is in the
-    left half of those that the view shows.
+    left half of the points that the view shows.
     """
 
     log_light: np.ndarray
@@ -82,9 +82,9 @@ def _observations(
     normals: np.ndarray | None,
     options: PointExposureOptions,
 ) -> _Observations:
-    """Return what the views show of some of the points [P,3], those that enough of the first `train` views show.
+    """Return the observations of those points that enough of the first `train` views show.
 
-    normals [P,3]: unit, or None.
+    positions [P,3]: the points. normals [P,3]: unit, or None.
     """
     some = slice(None, None, max(1, -(-len(positions) // options.points)))
     positions, normals = positions[some], None if normals is None else normals[some]

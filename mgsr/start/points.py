@@ -28,9 +28,12 @@ class StartSource(StrEnum):
 class StartingPoints:
     """The points on which training begins.
 
-    positions [P,3]: float64, in the scene's frame. colors [P,3]: uint8 sRGB. normals [P,3]: outward unit normals, None
-    if the surface is unknown. shiny: whether a flash or a mirrored environment map explains how brightness changes
-    between views; None if that was not examined. lighting: a flash's light on the surface, None without a flash.
+    positions [P,3]: float64, in the scene's frame.
+    colors [P,3]: uint8 sRGB.
+    normals [P,3]: outward unit normals, None if the surface is unknown.
+    shiny: whether a flash or a mirrored environment map explains how brightness changes between views; None if that
+    was not examined.
+    lighting: a flash's light on the surface, None without a flash.
     surface: the mesh that the points lie on, None without masks.
     """
 

@@ -1,7 +1,7 @@
 """Depth maps of everything in view, for scenes without masks, by PatchMatch stereo from coarse to fine.
 
-The search begins on small photographs. A patch covers more of the scene there, so even plaster has some contrast. Their
-confirmed depths start the search on larger photographs, which resolves details and places depths more exactly.
+The search begins on small photographs. A patch covers more of the scene there, so even plaster has some contrast. The
+confirmed depths start the search on larger photographs, which finds details and more exact depths.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
 class DepthMaps:
     """The depth maps of photographs.
 
-    cameras: of the photographs. maps: a depth map of each. confidence [h,w] of each map: 0..1, 0 where other views do
-    not confirm the depth.
+    cameras: the photographs' cameras. maps: a depth map for each photograph. confidence [h,w], for each map: 0..1, 0
+    where other views do not confirm the depth.
     """
 
     cameras: list[Camera]
@@ -53,11 +53,12 @@ def scene_depths(
     """Find the depth maps of some of a scene's views, whatever their masks.
 
     The same seed gives the same maps. Correlation ignores exposure, so photographs of another exposure have nearly the
-    same maps. progress: receives the share of the work that is done, 0..1. stereo: what `options` leave open.
+    same maps. progress: receives the share of the work that is done, 0..1. stereo: the settings shared with the stereo
+    of masked objects.
     """
     fine = scene_photographs(views, options)
     coarse = fine.reduced(options.coarser)
-    share = options.coarser**2 / (1 + options.coarser**2)  # of the work
+    share = options.coarser**2 / (1 + options.coarser**2)  # of the work, for the larger photographs
     settings = replace(stereo.match.settings, noise=options.noise, rounds=options.rounds)
     match = replace(stereo.match, max_angle=options.max_angle, settings=settings)
     consistency = replace(stereo.consistency, max_angle=options.max_angle, views=options.confirming_views)
@@ -77,5 +78,5 @@ def scene_depths(
 
 
 def scene_photographs(views: Sequence[View], options: SceneStereoOptions) -> StereoPhotographs:
-    """Prepare the photographs that stereo looks at, without masks."""
+    """Prepare the photographs for stereo, without masks."""
     return stereo_photographs([replace(view, alpha=None) for view in views], options.max_pixels)

@@ -24,7 +24,7 @@ from mgsr.stereo.photographs import StereoPhotographs
 def scene_points(
     views: Sequence[View], found: DepthMaps, options: SceneStereoOptions = SceneStereoOptions()
 ) -> PointCloud:
-    """Return points on what the views show, in the scene's frame, with the views' colours; maybe none.
+    """Return points on everything in view, in the scene's frame, with the views' colours; the result may be empty.
 
     found: the `scene_depths` of these views, or of the same views at another exposure.
     """
@@ -109,19 +109,19 @@ def _lifted(camera: Camera, depth: np.ndarray) -> np.ndarray:
 
 
 def _thinned(points: PointCloud, spacing: float) -> PointCloud:
-    """Return the first point of each cell of size `spacing`, contracted (`_contracted`)."""
+    """Return the first point of each cell of size `spacing` in contracted space (`_contracted`)."""
     cells = _cells(points.positions, spacing)
     return points.rows(np.sort(np.unique(cells, axis=0, return_index=True)[1]))
 
 
 def _cells(positions: np.ndarray, spacing: float) -> np.ndarray:
-    """Return the cells [P,3] int64 of size `spacing` in which points [P,3] lie, contracted."""
+    """Return the cells [P,3] int64, of size `spacing` in contracted space, that contain points [P,3]."""
     cells: np.ndarray = np.floor(_contracted(positions) / spacing).astype(np.int64)
     return cells
 
 
 def _apart(points: PointCloud, others: PointCloud, spacing: float) -> PointCloud:
-    """Return the points that lie farther than `spacing`, contracted, from all others."""
+    """Return the points that are farther than `spacing`, in contracted space, from all points of `others`."""
     if not len(others) or not len(points):
         return points
     away = cKDTree(_contracted(others.positions)).query(_contracted(points.positions))[0]

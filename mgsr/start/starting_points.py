@@ -1,4 +1,4 @@
-"""Starting points of the Gaussians: the capture's own points, the visual hull, or stereo; else a random ball."""
+"""Starting points of the splats, from the capture's own points, the visual hull, stereo or a random ball."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The colours in which views show points."""
+"""The colours of points in the views."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def median_colors(
 ) -> np.ndarray:
     """Return the colour [P,3] uint8 sRGB of each point: the median over the views that see it, without highlights.
 
-    positions [P,3]: in the scene's frame. normals [P,3]: unit; if given, the points are a surface, and a view does not
-    see those that face away or lie more than `tolerance` behind others. A point that no view sees takes the colour of
-    its nearest seen neighbour.
+    positions [P,3]: in the scene's frame. normals [P,3]: unit. With normals, the points are a surface: a view does not
+    see points that face away, nor points that lie more than `tolerance` behind others. A point that no view sees takes
+    the colour of its nearest visible neighbour.
     """
     samples = np.full((len(views), len(positions), 3), _UNSEEN, dtype=np.int16)
     for sample, view in zip(samples, views, strict=True):

@@ -19,8 +19,8 @@ from mgsr.training.schedule import SH_NAMES, rates_at, rest_scale
 from mgsr.training.trainable import Trainable
 
 Splats = TypeVar("Splats", bound=SurfelModel | GaussianModel)
-# Steps after which the next densification sorts splats on a GPU again: neighbours in space should be neighbours in
-# memory, for coalesced reads.
+# Steps after which the next densification sorts splats on a GPU again. Neighbours in space should be neighbours in
+# memory, so that reads are coalesced.
 ORDER_EVERY = 2000
 
 

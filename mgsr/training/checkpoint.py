@@ -1,4 +1,4 @@
-"""Checkpoints: one file that holds a run, written whole or not at all, and read only by the run that it belongs to."""
+"""Checkpoints: one file that holds a run. It is written atomically, and only the same run can read it."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def load_checkpoint(path: Path, expected: dict[str, str]) -> dict[str, Any]:
 
 
 def read_schedule(path: Path) -> dict[str, Any] | None:
-    """Return the state of a run's stage scheduler from its checkpoint; None where there is none to be read."""
+    """Return the state of a run's stage scheduler from its checkpoint; None if there is no readable one."""
     try:
         content = torch.load(path, weights_only=True, map_location="cpu")
     except (OSError, EOFError, RuntimeError, ValueError, KeyError, pickle.UnpicklingError):

@@ -14,7 +14,7 @@ from mgsr.config import PaperConfig, StopRule, WarmupConfig
 
 
 class Convergence(Protocol):
-    """A test that sees every iteration's loss and says when it is enough."""
+    """A test that receives every iteration's loss and decides when training has converged."""
 
     def converged(self, loss: Tensor, iteration: int, at_epoch_end: bool) -> bool:
         """Take the loss [] of one iteration, counted from 1 and without gradient, and return whether to stop."""
@@ -102,7 +102,7 @@ class Validation:
 
 
 class LossRange:
-    """The published rule: converged when the last 100 losses lie within `width`, whatever views they come from."""
+    """The paper's rule: training has converged when the last 100 losses, of any views, lie within `width`."""
 
     LOOK_BACK = 100
 

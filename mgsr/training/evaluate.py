@@ -51,8 +51,7 @@ def gaussian_picture(model: TrainedModel) -> RenderFunction:
 def mean_psnr(picture: RenderFunction, views: list[TrainingView], background: Color) -> float:
     """Return the mean PSNR, dB, of a branch over views, with images clipped to 0..1.
 
-    Only pixels that the photographs show count. background: the colour behind the splats and the photographs with
-    masks.
+    Only valid pixels count. background: the colour behind the splats, and behind photographs with masks.
     """
     values = []
     for view in views:
@@ -68,10 +67,11 @@ def mean_psnr(picture: RenderFunction, views: list[TrainingView], background: Co
 
 @torch.no_grad()
 def preview_pictures(model: TrainedModel, view: TrainingView, background: Color) -> dict[str, np.ndarray]:
-    """Render pictures uint8 [H,W,3] of a view, before a background.
+    """Render pictures uint8 [H,W,3] of a view, before a background, by name.
 
-    render: of the rendering branch, or the only one; normals: of the surface, world axes as colours, grey off the
-    surface; transmitted and reflected: the halves of the light, where it is split.
+    render: the image of the rendering branch, or of the only branch.
+    normals: the surface's normals, with world axes as colours; grey off the surface.
+    transmitted, reflected: the two halves of the light, where it is split.
     """
     color = color_tensor(background, model.device)
     flat, full = render_both(model, view.camera, color, depth=False, shading=view.shading())

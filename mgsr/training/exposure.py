@@ -29,7 +29,7 @@ from mgsr.start.points import StartingPoints
 from mgsr.training.evaluate import gaussian_picture
 from mgsr.training.proxy_model import small_view, train_proxy_model
 
-DIGITS = 5  # of a factor
+DIGITS = 5  # decimal digits to which factors are rounded
 
 
 def find_exposures(
@@ -44,7 +44,7 @@ def find_exposures(
     Returns None where exposures are equal, or can't be separated from lighting effects. The same seed gives the same
     factors, on any number of cores. expert: the options of all algorithms.
 
-    Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
+    Raises Cancelled once should_stop returns True, and TrainingError if training fails.
     """
     options = expert.training.exposure
     if len(scene.train) < options.min_views:
@@ -122,7 +122,7 @@ def _trained(
     should_stop: Callable[[], bool],
     options: ExposureOptions,
 ) -> Callable[[View], np.ndarray]:
-    """Train Gaussians on some views, and return a function that renders a view in linear light [H,W,3]."""
+    """Train Gaussians on some views, and return a function that renders a view's linear light [H,W,3]."""
     model = train_proxy_model(
         scene, start, views, degree, options.iterations, seed, "exposures", should_stop, options=options.proxy
     )
@@ -159,13 +159,13 @@ def _errors(view: View, rendered: np.ndarray, options: ExposureOptions) -> tuple
 
 
 def _factor(view: View, rendered: np.ndarray, options: ExposureOptions) -> np.ndarray:
-    """Return the factor [3] of a view's light against its rendering's [H,W,3]; 1 where too little can be compared."""
+    """Return the factor [3] between a view's light and its rendering's [H,W,3]; 1 if too few pixels are usable."""
     fitted = _fitted(view, rendered, _usable(view, options), options)
     return np.ones(3) if fitted is None else fitted
 
 
 def _usable(view: View, options: ExposureOptions) -> np.ndarray:
-    """Return the pixels [H,W] bool that are valid, of the object alone, and not clipped."""
+    """Return a mask [H,W] bool of the pixels that are valid, lie inside the object, and are not clipped."""
     usable = (view.image < options.clipped).all(axis=-1)
     if view.alpha is not None:
         usable &= view.alpha >= options.clipped
@@ -175,8 +175,8 @@ def _usable(view: View, options: ExposureOptions) -> np.ndarray:
 def _fitted(view: View, rendered: np.ndarray, usable: np.ndarray, options: ExposureOptions) -> np.ndarray | None:
     """Fit the factor [3] by which the photograph's linear light exceeds the rendering's [H,W,3] at usable pixels.
 
-    usable [H,W] bool. Relative errors count, large ones as if they were 1.5 deviations (Huber). None for too few
-    pixels.
+    usable [H,W] bool. The fit minimises relative errors, by iteratively reweighted least squares. Its Huber weights
+    reduce errors above 1.5 deviations. Returns None if too few pixels are usable.
     """
     factor = np.ones(3)
     for channel in range(3):

@@ -29,7 +29,7 @@ from mgsr.training.views import TrainingView, color_tensor
 class ErrorGrowth:
     """The growth of `branch`, a branch of `train_state`.
 
-    behind: the colour on which renderings are judged. options: of the growth by errors.
+    behind: the colour behind the compared renderings and photographs. options: those of error-driven growth.
     """
 
     branch: GaussianBranch
@@ -39,9 +39,9 @@ class ErrorGrowth:
     options: ErrorGrowthOptions = ErrorGrowthOptions()
 
     def grow(self, views: Sequence[TrainingView]) -> None:
-        """Prune, and then replace and add Gaussians by what some of the views show.
+        """Prune Gaussians, and then replace and add some where renderings of a few views differ from the photographs.
 
-        The views are drawn by the branch's generator. Raises TrainingError when no Gaussian is left.
+        The branch's generator draws the views. Raises TrainingError when no Gaussian is left.
         """
         branch, densify = self.branch, self.config.densify
         branch.adapt(grow=False)

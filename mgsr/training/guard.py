@@ -1,4 +1,4 @@
-"""The guard of a training: a step that goes bad is noticed, undone and logged."""
+"""The guard of a training: it detects steps with invalid numbers, undoes them and logs them."""
 
 from __future__ import annotations
 
@@ -30,10 +30,12 @@ class Guard:
     """A guard that watches one stage's steps.
 
     A step is bad when its loss or a gradient is not finite or exceeds 1e19. The square of a larger number overflows
-    float32, and with it Adam's second moment. Such a step is skipped, and training goes on with the next view. Every
-    `every` steps the guard checks the branches. Where a parameter is not finite, or the loss has blown up, it restores
-    their state of the last good check. On a GPU nothing is read between two checks; a bad step's gradients count as
-    zero there.
+    float32, and with it Adam's second moment. The guard skips a bad step, and training continues with the next view.
+
+    Every `every` steps the guard also checks the parameters and the loss. If a parameter is not finite, or the loss
+    has blown up, it restores the state of the last good check.
+
+    On a GPU the host reads nothing between two checks. There, the optimiser treats a bad step's gradients as zero.
     """
 
     def __init__(self, stage: Stage, every: int, incidents: list[str]) -> None:
@@ -48,7 +50,7 @@ class Guard:
         self._kept = self._copies()
 
     def admits(self, step: Step, view: str) -> bool:
-        """Return whether the step may be taken.
+        """Return whether the optimiser may take the step.
 
         On a GPU the answer is always yes; the optimiser then reads `bad` and treats the gradients of a bad step as
         zero. Raises TrainingError if restoring the last good state fails repeatedly.
@@ -71,7 +73,8 @@ class Guard:
     def look_back(self, values: Tensor) -> None:
         """Record the loss of a completed step, and check the recent steps when a check is due.
 
-        values [...]: the terms of the loss, of any shape. Raises TrainingError where going back did not help.
+        values [...]: the terms of the loss, of any shape. Raises TrainingError if the steps stay bad after the state
+        was restored MOST_RETURNS times.
         """
         self._losses.append(values)
         if len(self._losses) < self.every:
@@ -86,7 +89,7 @@ class Guard:
         self._losses, self._returns, self._kept = [], 0, self._copies()
 
     def expect_anew(self) -> None:
-        """Forget the usual loss, as it is about to rise for a good reason, such as an opacity reset."""
+        """Forget the usual loss before an expected rise, such as after an opacity reset."""
         self._usual, self._losses, self._kept = None, [], self._copies()
 
     def state(self) -> dict[str, Any]:
@@ -125,7 +128,7 @@ class Guard:
             )
         self._note(f"the last {len(self._losses)} steps were undone: {trouble}")
         for part in self.stage.trainables:
-            steps = part.steps  # the rates go on fading
+            steps = part.steps  # the learning rates continue to decay
             part.restore(copied(self._kept[part.name]))
             part.steps = steps
         self._losses, self._bad_steps = [], 0

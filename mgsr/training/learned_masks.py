@@ -1,12 +1,11 @@
-"""Masks of photographs before a plain backdrop that come without masks, learned by small 3D branches.
+"""Masks for photographs before a plain backdrop, learned by small 3D branches.
 
-The backdrop's colour lies behind the splats, so the splats need to cover only the object. No pixel is
-compared with that colour: splats must explain all photographs at once. A highlight or a patch in the backdrop's colour
-therefore makes no hole, as it would in a colour key.
+The backdrop's colour lies behind the splats, so the splats need to cover only the object. A colour key would make
+holes where the object has the backdrop's colour. Splats make none, because they must explain all photographs at once.
 
-A first branch begins anywhere in the ball. Superfluous splats take the backdrop's colour, which no photograph
-distinguishes from transparency. A loss on opacity removes them. The contours remain rough. A second branch begins on
-the hull of these contours. There, no splat is superfluous, and opacity has no loss.
+A first branch starts at random points of the ball. Splats outside the object take the backdrop's colour, which looks
+the same as transparency. A loss on opacity removes these splats, but its contours are rough. A second branch starts on
+the visual hull of these contours. There, no splat is superfluous, so it has no loss on opacity.
 """
 
 from __future__ import annotations
@@ -39,11 +38,11 @@ def learn_masks(
 ) -> list[np.ndarray] | None:
     """Learn masks [H,W] uint8 of the training views of a scene that has a plain backdrop and no masks.
 
-    Returns None where the splats outline no object: their masks have no common hull, or cover the images' borders. The
-    same seed gives the same masks, on any number of cores. progress: called with the completed share, 0..1.
+    Returns None if the splats outline no object. Then their masks have no common hull, or cover the images' borders.
+    The same seed gives the same masks, on any number of cores. progress: called with the completed share, 0..1.
     expert: the options of all algorithms.
 
-    Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
+    Raises Cancelled once should_stop returns True, and TrainingError if training fails.
     """
 
     def learned(
@@ -78,8 +77,8 @@ def learn_masks(
 def _opacities(model: GaussianModel, views: Sequence[View], side: int) -> list[np.ndarray]:
     """Render the opacity of the model in the views, as masks [H,W] uint8.
 
-    The model is trained on photographs of `side` pixels, so its edges are as soft as those pixels; they are sharpened
-    to the views' pixels.
+    The model was trained on photographs of `side` pixels, so its edges are as soft as those pixels. This function
+    sharpens them to the views' pixels.
     """
     masks = []
     for view in views:

@@ -17,12 +17,12 @@ from mgsr.training.environment_map import EnvironmentMapTrainer
 from mgsr.training.stages import Stage
 from mgsr.training.trainable import copied
 
-# From the simplest to the one with the most parameters. `Reflection.BOTH` is no candidate: on shiny objects it gains
-# less than the shared light alone, and on matte ones only by its additional parameters.
+# From the simplest to the one with the most parameters. `Reflection.BOTH` is no candidate. On shiny objects it gains
+# less than the shared light alone. On matte objects it gains only by its additional parameters.
 CANDIDATES = (Reflection.OFF, Reflection.SHARED)
 CANDIDATES_ALONE = (Reflection.OFF, Reflection.OWN)  # without a surface that reflects
 
-Train = Callable[[str, int], None]  # trains the stage further, under a candidate's name, for a number of iterations
+Train = Callable[[str, int], None]  # trains the stage as the named candidate, for a number of iterations
 
 
 @dataclass(frozen=True)
@@ -38,12 +38,13 @@ class Candidate:
 class ReflectionSelection:
     """Trains each candidate from the same state and on the same views, and keeps the best.
 
-    It first tries the reflections, with all degrees of the transmitted colour's harmonics. It then lowers the degree
-    step by step while the result is no worse. environment_map: None where no surface reflects it. measure: the 3D
-    branch's PSNR, dB, on the photographs that the stage is not trained on. all_views: the number of the stage's views
-    that training may use after the selection; they begin with its training views.
+    It first tries the reflection models, with all degrees of the transmitted colour's harmonics. It then lowers the
+    degree step by step while the result is no worse.
 
-    psnr and degrees: the PSNR, dB, of each reflection and of each lower degree; empty before the selection.
+    environment_map: None where no surface reflects it.
+    measure: returns the 3D branch's PSNR, dB, on photographs that the stage is not trained on.
+    all_views: how many of the stage's first views training may use after the selection.
+    psnr, degrees: the PSNR, dB, of each reflection model and of each lower degree; empty before the selection.
     """
 
     def __init__(
@@ -78,7 +79,8 @@ class ReflectionSelection:
         lower: list[Candidate] = []
         for degree in reversed(range(best.sh_degree)):
             lower.append(self._try(stage, train, before, best.reflection, degree))
-            # Fewer parameters train faster: a model that is slightly behind here would be further behind in the end.
+            # A model with fewer parameters trains faster. If it is slightly behind now, it would be further behind
+            # at the end.
             if lower[-1].psnr < best.psnr:
                 break
             best = lower[-1]
@@ -135,10 +137,10 @@ class ReflectionSelection:
 
 
 def simplest(tried: list[Candidate], gain: float) -> Candidate:
-    """Choose the candidate of the best PSNR, unless a simpler one comes near it.
+    """Choose the candidate with the best PSNR, unless a simpler one is nearly as good.
 
-    tried: from the simplest on. A later candidate replaces the one chosen so far only where it exceeds it by more than
-    `gain` dB.
+    tried: in the order from the simplest. A later candidate replaces the chosen one only if its PSNR is more than
+    `gain` dB higher.
     """
     best = tried[0]
     for candidate in tried[1:]:

@@ -43,8 +43,10 @@ T = TypeVar("T")
 class Plan:
     """A run before its first iteration.
 
-    train_state: the branches and maps to train; stages: in order; curve_views: the views that only the error curve
-    uses; backdrop: the background behind the splats.
+    train_state: the branches and maps to train.
+    stages: the stages in their order.
+    curve_views: the views that only the error curve uses.
+    backdrop: the background behind the splats.
     """
 
     train_state: TrainState
@@ -60,7 +62,7 @@ class Plan:
     def set_reflector(self, reflector: Reflector) -> bool:
         """Let a mesh reflect the environment map from the stage FINISH on, and return whether it does.
 
-        It does so where the map is used and masks outline the object.
+        The mesh reflects the map only if the map is used and masks outline the object.
         """
         finish, light = self.stages[-1], self.train_state.environment_map
         if finish.name != FINISH or light is None or not (light.used and light.settings.iterations):
@@ -76,7 +78,7 @@ class Plan:
 class _Photographs:
     """A stage's views, and reduced copies of them where they are large enough.
 
-    The last `held_out` of both are kept from training. behind: the colour on which renderings of them are judged.
+    The last `held_out` of both are held out of training. behind: the colour behind renderings that are compared.
     """
 
     views: list[TrainingView]
@@ -89,7 +91,7 @@ class _Photographs:
         return len(self.views) - self.held_out
 
     def sparing(self, count: int) -> _Photographs:
-        """Return the same with `count` views, at even distances, kept from the stage."""
+        """Return the same photographs with `count` of them, evenly spaced, held out of the stage."""
         spared = _spread(range(len(self.views)), count)
         order = [i for i in range(len(self.views)) if i not in spared] + spared
         small = None if self.small is None else [self.small[i] for i in order]
@@ -226,7 +228,7 @@ def _warmup(
     warmup = config.train.warmup
     iterations = warmup.surfel_iterations if branch is train_state.surfels else warmup.gaussian_iterations
 
-    # The stages' lengths are read anew each time, for a scheduler may change them on the way.
+    # These functions read the stages' lengths at each call, because a scheduler may change the lengths.
     def window(densify: DensifyConfig) -> tuple[float, float]:
         return densify.start * stage.iterations, densify.stop * stage.iterations
 
@@ -249,7 +251,7 @@ def _warmup(
 def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list[Stage], config: Config) -> Stage:
     """Build the stage of the mutual phase; a single branch trains alone for the same number of iterations.
 
-    stages: those of the run, which may be filled in later.
+    stages: the run's list of stages, which the caller may fill in later.
     """
 
     def window(densify: DensifyConfig) -> tuple[float, float]:
@@ -288,7 +290,7 @@ def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list
 def _finish(train_state: TrainState, views: list[TrainingView], config: Config) -> Stage:
     """Build the stage that trains the rendering branch alone, at the final learning rates; it may end at any iteration.
 
-    Once a mesh reflects the environment map, the rates begin at those of the middle of training instead.
+    If a mesh reflects the environment map, the stage begins at the learning rates of the middle of training.
     """
     cycle = ViewCycle(len(views), seeded(config, 6))
     if train_state.gaussians is None:
@@ -310,7 +312,7 @@ def _finish(train_state: TrainState, views: list[TrainingView], config: Config) 
 
 
 def _measure(train_state: TrainState, branch: str, photographs: _Photographs) -> Callable[[], float]:
-    """Return a function that measures a branch's PSNR, dB, on the views that are kept from its warm-up."""
+    """Return a function that measures a branch's PSNR, dB, on the views held out of its warm-up."""
     held_out = photographs.views[photographs.trained_on :]
     return lambda: mean_psnr(train_state.picture(branch), held_out, photographs.behind)
 
@@ -332,6 +334,6 @@ def _spared(config: Config, views: int) -> int:
 
 
 def _spread(items: Sequence[T], count: int) -> list[T]:
-    """Return `count` items at even distances, or all if there are fewer."""
+    """Return `count` evenly spaced items, or all if there are fewer."""
     count = min(count, len(items))
     return [items[(2 * i + 1) * len(items) // (2 * count)] for i in range(count)]

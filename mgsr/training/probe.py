@@ -26,7 +26,7 @@ UNTIMED, TIMED = 2, 4  # iterations; the first ones load kernels and fill memory
 class Probe:
     """The measured speed of training.
 
-    seconds: of one iteration by stage, in their order; splats: how many each branch had.
+    seconds: the duration of one iteration of each stage, in order. splats: the number of splats of each branch.
     """
 
     seconds: dict[str, float]
@@ -36,7 +36,7 @@ class Probe:
 def probe(scene: Scene, start: StartingPoints, config: Config, device: torch.device = CPU) -> Probe:
     """Measure how long an iteration of each stage before FINISH takes at the beginning.
 
-    Raises what `Training` does.
+    Raises the errors of `Training`.
     """
     timer = _Timer(device)
     with one_torch_thread():
@@ -49,7 +49,7 @@ def probe(scene: Scene, start: StartingPoints, config: Config, device: torch.dev
 
 @dataclass
 class _Timer:
-    """A scheduler that notes when it is asked, and ends each stage soon."""
+    """A scheduler that records the time of each call, and ends each stage after a few iterations."""
 
     device: torch.device
     times: dict[str, list[float]] = field(default_factory=dict)

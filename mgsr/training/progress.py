@@ -14,8 +14,8 @@ from mgsr.gaussians.trained_model import TrainedModel
 class CurveRow:
     """One row of the curve of error against time.
 
-    psnr_*: dB over a few test views (on white where there are masks), each branch's full colour, None for a branch
-    that is not there. They are only reported: nothing is decided by them.
+    psnr_*: the PSNR, dB, of each branch's full colour over a few test views, on white where there are masks; None for
+    a missing branch. Training only reports these values and decides nothing by them.
     """
 
     seconds: float
@@ -36,9 +36,12 @@ class CurveRow:
 class Progress:
     """The progress of a training.
 
-    iteration of total in this stage; done: 0..1 of all stages' planned iterations; losses: the last iteration's terms
-    by name, times their weights; counts: splats by branch; psnr: the curve's last; previews: images [H,W,3] uint8 by
-    name, where they are due.
+    iteration, total: the completed and the planned iterations of this stage.
+    done: the completed share, 0..1, of all stages' planned iterations.
+    losses: the last iteration's weighted loss terms, by name.
+    counts: the number of splats of each branch.
+    psnr: the last PSNR of the curve, dB.
+    previews: images [H,W,3] uint8 by name, where they are due.
     """
 
     stage: str
@@ -56,8 +59,8 @@ class Progress:
 class StageReport:
     """The report of a finished stage.
 
-    Its iterations, seconds, why it ended (iterations, converged, budget or deadline), and how many splats were dropped
-    then.
+    It has the stage's iterations and seconds, the reason why it ended (iterations, converged, budget or deadline), and
+    the number of splats that were dropped at its end.
     """
 
     name: str
@@ -69,11 +72,11 @@ class StageReport:
 
 @dataclass(frozen=True)
 class TrainResult:
-    """The trained model without gradients, and how it came about.
+    """The trained model without gradients, and the reports on its training.
 
-    incidents: each bad step that was undone, in words (see `mgsr.training.guard`); the first 100. tried: PSNR, dB, that
-    each candidate for the reflection reached in model selection, on held-out photographs, and degrees: what lower
-    degrees of the transmitted colour reached there; empty without one.
+    incidents: descriptions of the first 100 bad steps that were undone (see `mgsr.training.guard`).
+    tried: the PSNR, dB, of each reflection model on held-out photographs; empty without a model selection.
+    degrees: the PSNR, dB, of each lower degree of the transmitted colour there; empty without a model selection.
     """
 
     model: TrainedModel

@@ -1,4 +1,4 @@
-"""A small proxy model, a 3D branch that is trained on small photographs before the real training to learn from it."""
+"""A proxy model: a small 3D branch, trained on small photographs to learn something before the real training."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from mgsr.training.views import CPU, TrainingView, ViewCycle, prepare_views
 
 
 def small_view(view: View, side: int = ProxyModelOptions().side) -> View:
-    """Reduce a view to the size that a proxy model is trained on: its longer side has at most `side` pixels."""
+    """Reduce a view to the size that a proxy model is trained on: at most `side` pixels along its longer side."""
     return reduced_view(view, min(1.0, side / max(view.camera.width, view.camera.height)))
 
 
@@ -42,11 +42,14 @@ def train_proxy_model(
 ) -> GaussianModel:
     """Train a proxy model: some of the starting points as Gaussians, on small views of the scene.
 
-    None are added or dropped. degree: of their harmonics; name: of the stage; progress: called with the completed
-    share, 0..1; opacity_cost: weight of the mean opacity in the loss, which removes superfluous Gaussians. The same
-    seed gives the same Gaussians.
+    No Gaussian is added or dropped. The same seed gives the same Gaussians.
 
-    Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
+    degree: the degree of the colours' harmonics.
+    name: the stage's name.
+    progress: called with the completed share, 0..1.
+    opacity_cost: the weight of the mean opacity in the loss, which removes superfluous Gaussians.
+
+    Raises Cancelled once should_stop returns True, and TrainingError if training fails.
     """
     kind = ["branches=gaussians", "reflection=off", f"gaussians.sh_degree={degree}", "tv=off"]
     settings = make_config(seed=seed, overrides=[*kind, "gaussians.densify.by=gradient"])
@@ -72,7 +75,7 @@ def train_proxy_model(
 
 
 def _few(start: StartingPoints, views: Sequence[View], seed: int, count: int) -> StartingPoints:
-    """Draw some of the starting points, in the colours of some views."""
+    """Draw some of the starting points, and take their colours from some of the views."""
     rows = np.sort(np.random.default_rng(seed).permutation(len(start.positions))[:count])
     positions = start.positions[rows]
     normals = None if start.normals is None else start.normals[rows]

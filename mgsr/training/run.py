@@ -28,7 +28,7 @@ CARD_FAILED: type[Exception] | tuple[()] = getattr(torch, "AcceleratorError", ()
 
 @contextmanager
 def card_explained() -> Iterator[None]:
-    """Turn what goes wrong with a card inside the block into a GpuError or LostCardError that says what to do."""
+    """Convert a card's errors inside the block into a GpuError or a LostCardError that says what to do."""
     try:
         yield
     except torch.OutOfMemoryError as error:
@@ -47,18 +47,24 @@ def card_explained() -> Iterator[None]:
 class Training:
     """A scene's training, from starting points in the scene's frame.
 
-    progress is called at intervals (config.train.watch), should_stop before every iteration. Once should_stop returns
-    True, a checkpoint is written and Cancelled raised. checkpoint_path: one file, written at intervals and at the end.
-    resume: continue from it if it exists; on the CPU the result equals that of an uninterrupted run bit for bit.
+    progress: called at intervals (config.train.watch).
+    should_stop: called before every iteration. Once it returns True, a checkpoint is written and Cancelled raised.
+    checkpoint_path: one file, written at intervals and at the end.
+    resume: continue from the checkpoint if it exists. On the CPU the result equals an uninterrupted run's bit for bit.
+    deadline: seconds after which training ends at once; the stages' reports name the deadline as the reason.
+    device: where images, masks and splats are kept; a GPU is much faster. The result is on the CPU, and a checkpoint
+    serves any device.
+    scheduler: sets the lengths of all stages.
 
-    deadline: seconds after which training ends where it is (the reports say so). device: images, masks and splats are
-    kept there, and a GPU is much faster. The result is on the CPU, and a checkpoint serves any device. scheduler: sets
-    the lengths of all stages. With a scheduler, or with an environment map that the finished mesh may reflect
-    (`set_reflector`), the run has one more stage, FINISH.
+    The run has one more stage, FINISH, in two cases: with a scheduler, or with an environment map that the finished
+    mesh may reflect (`set_reflector`).
 
-    Raises, here or in `run`, TrainingError (too few views or points, numbers that are not finite, nothing left of a
-    branch), Cancelled, CheckpointError (damaged, or of another scene or other settings), GpuError (a card that can't be
-    used, or without memory for the scene).
+    The constructor and `run` raise these errors:
+
+    - TrainingError: too few views or points, numbers that are not finite, or a branch without splats.
+    - Cancelled: should_stop returned True.
+    - CheckpointError: the checkpoint is damaged, or belongs to another scene or other settings.
+    - GpuError: the card can't be used, or has too little memory for the scene.
     """
 
     def __init__(
@@ -97,9 +103,9 @@ class Training:
             return self._trainer.plan.set_reflector(Reflector(mesh))
 
     def run(self, finish: bool = True) -> TrainResult:
-        """Train all stages, and return the branches; without `finish`, as they are before the stage FINISH.
+        """Train all stages and return the branches; without `finish`, stop before the stage FINISH.
 
-        A scheduler or `set_reflector` gives that stage something to do.
+        The stage FINISH has iterations only with a scheduler or after `set_reflector`.
         """
         plan, scheduled = self._trainer.plan, self._trainer.scheduler is not None
         with one_torch_thread(), card_explained():

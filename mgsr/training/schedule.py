@@ -15,8 +15,8 @@ SH_NAMES = ("sh", "refl_sh")
 def rates_at(progress: float, config: RatesConfig, extent: float) -> dict[str, float]:
     """Return each parameter's learning rate at `progress` 0..1 through the whole run, whatever its iterations.
 
-    extent: the scene's, in its unit; the positions' rate is proportional to it. Of colours it is the constant term's
-    (see `rest_scale`).
+    extent: the scene's size, in its unit; the positions' rate is proportional to it. The rate of colours is that of
+    the constant term (see `rest_scale`).
     """
     faded = decay(progress, config.decay_from, config.final_factor)
     position = extent * math.exp((1 - progress) * math.log(config.position) + progress * math.log(config.position_end))
@@ -47,7 +47,7 @@ def rest_scale(sh: Tensor, config: RatesConfig) -> Tensor:
 def sh_degree_at(iteration: int, warmup_iterations: int, step: float, highest: int) -> int:
     """Return the degree of the colours in the warm-up, which rises from 0 to `highest`.
 
-    step: the fraction of the warm-up after which it rises by one; 0: it is `highest` at once.
+    step: the degree rises by one after each such fraction of the warm-up; with 0, it is `highest` at once.
     """
     if step <= 0:
         return highest

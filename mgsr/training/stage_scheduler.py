@@ -1,4 +1,4 @@
-"""The stage scheduler's interface: what may change the lengths of stages while they run."""
+"""The interface of a stage scheduler, which may change the lengths of stages while they run."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ from mgsr.training.views import TrainingView, ViewCycle, color_tensor
 
 SurfelBranch = Branch[SurfelModel]
 GaussianBranch = Branch[GaussianModel]
-KEPT_NORMALS = 256 * 2**20  # bytes
+KEPT_NORMALS = 256 * 2**20  # bytes of normals that `ReflectingSurface` may keep
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ class Step:
 
 @dataclass(frozen=True)
 class Coarse:
-    """A stage's views made smaller, for the first `share` of its iterations.
+    """Reduced views for the first `share` of a stage's iterations.
 
-    Small images suffice while splats still move far, and take less time.
+    Small images take less time. They suffice while splats still move far.
     """
 
     views: list[TrainingView]
@@ -175,8 +175,8 @@ class Stage:
 class ReflectingSurface:
     """The environment map and the surface that reflects it; only the map learns.
 
-    Where the map has no reflector, the 2D branch reflects it. The branch must stand still then, for its
-    normals are kept, as float16, while KEPT_NORMALS lasts.
+    Where the map has no reflector, the 2D branch reflects it. The branch must not change then, because its normals
+    are kept as float16, up to KEPT_NORMALS bytes.
     """
 
     environment_map: EnvironmentMapTrainer
@@ -201,7 +201,7 @@ class ReflectingSurface:
 def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> Callable[..., Step]:
     """Return a function that computes a step of the 2D branch on the photographs (Algorithm 1).
 
-    `warming` raises the SH degree and holds back the regularisers as the warm-up's settings say.
+    warming: whether the stage is the warm-up, whose settings raise the SH degree and delay the regularisers.
     """
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
@@ -221,8 +221,8 @@ def gaussians_alone(
 ) -> Callable[..., Step]:
     """Return a function that computes a step of the 3D branch on the photographs (Algorithm 1).
 
-    `warming` raises the SH degree; surface: adds the environment map's reflection in the surface, with the 2D branch
-    frozen.
+    warming: whether the stage is the warm-up, which raises the SH degree. surface: adds the environment map's
+    reflection; the 2D branch is frozen.
     """
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
@@ -251,7 +251,7 @@ def both_teach(
 ) -> Callable[..., Step]:
     """Return a function that computes a step of both branches, on the photographs and on each other (Algorithm 2).
 
-    environment_map: the light that the surface reflects; it is trained where it is used.
+    environment_map: the map that the surface reflects. The step trains it if it is used.
     """
     both = config.paper.teaching is Teaching.BOTH_WAYS
 

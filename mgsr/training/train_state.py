@@ -25,7 +25,7 @@ from mgsr.training.trainable import Trainable
 class TrainState:
     """The branches and the environment maps of a run.
 
-    A branch is None where the method has none; the environment map is None where it cannot become useful.
+    A branch is None if the method lacks it. The environment map is None if the run can't use one.
     """
 
     surfels: SurfelBranch | None
@@ -34,7 +34,7 @@ class TrainState:
 
     @property
     def branches(self) -> list[Branch[Any]]:
-        """Return the branches that there are."""
+        """Return the existing branches."""
         return [branch for branch in (self.surfels, self.gaussians) if branch is not None]
 
     @property
@@ -44,7 +44,7 @@ class TrainState:
 
     @property
     def model(self) -> TrainedModel:
-        """Return the branches and the environment map as they stand; None for each that is not used."""
+        """Return the current branches and environment map; None for each that is not used."""
         light = self.environment_map
         return TrainedModel(
             None if self.surfels is None else self.surfels.model,
@@ -53,7 +53,7 @@ class TrainState:
         )
 
     def picture(self, branch: str) -> RenderFunction:
-        """Return a function that renders a branch, surfels or gaussians, as it stands."""
+        """Return a function that renders the current state of a branch, surfels or gaussians."""
         model = self.model
         if branch == "surfels":
             assert model.surfels is not None
@@ -89,7 +89,7 @@ def make_train_state(
 
 
 def camera_extent(scene: Scene) -> float:
-    """Return 3DGS's size of a scene: 1.1 times the largest distance of a training camera from their mean."""
+    """Return the scene's size as 3DGS defines it: 1.1 times the training cameras' largest distance from their mean."""
     centers = np.stack([view.camera.center for view in scene.train])
     return 1.1 * max(float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max()), 1e-3)
 

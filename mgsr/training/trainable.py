@@ -30,7 +30,7 @@ class Trainable(ABC, Generic[Model]):
 
     @abstractmethod
     def rates(self, progress: float) -> dict[str, float]:
-        """Return each parameter's learning rate at `progress` 0..1 of the run; other names may be among them."""
+        """Return each parameter's learning rate at `progress` 0..1 of the run; other names may be included."""
 
     @abstractmethod
     def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
@@ -42,7 +42,7 @@ class Trainable(ABC, Generic[Model]):
         return next(iter(self.optimizer.params.values())).device
 
     def skip_step(self) -> None:
-        """Clear the gradients that backward has left, and count a step, so that the schedule goes on."""
+        """Clear the gradients, and count a step, so that the schedule continues."""
         for tensor in self.optimizer.params.values():
             tensor.grad = None
         self.steps += 1
@@ -93,7 +93,7 @@ class Trainable(ABC, Generic[Model]):
         self.restore(state)
 
     def adopt(self) -> None:
-        """Let the model's fields be the optimiser's tensors, which it replaces when their number changes."""
+        """Point the model's fields at the optimiser's tensors, which it replaces when the number of splats changes."""
         for name in self.model.parameters() | self.optimizer.params:
             setattr(self.model, name, self.optimizer.params.get(name))
 
@@ -101,7 +101,8 @@ class Trainable(ABC, Generic[Model]):
 def step_trainables(progress: Mapping[Trainable[Any], float], bad: Tensor | None = None) -> None:
     """Take one optimiser step of all these models, on a GPU in one launch.
 
-    progress: of each, 0..1 of the run; bad [] bool, on a card: whether the gradients count as zero.
+    progress: the share, 0..1, of the run that is done, for each model. bad [] bool, on a card: whether to treat the
+    gradients as zero.
     """
     for part, share in progress.items():
         part.optimizer.set_lrs(part.rates(share))

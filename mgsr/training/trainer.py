@@ -1,4 +1,4 @@
-"""The training loop: it runs the stages of a plan, and looks up from time to time to report and to save."""
+"""The training loop: it runs the stages of a plan, and reports and saves at intervals."""
 
 from __future__ import annotations
 
@@ -27,11 +27,13 @@ from mgsr.training.views import pick_background
 class Trainer:
     """The training loop of a plan.
 
-    Its state consists of the plan's, the guard's, the stage's number, the reports and the clock; `checkpoint` holds all
-    of it.
+    Its state consists of the plan's and the guard's state, the stage's number, the reports and the clock. A checkpoint
+    holds all of it.
 
-    progress is called every `watch.report_every` iterations and at each stage's end; should_stop before every
-    iteration; deadline: seconds of training after which the stages end where they are; scheduler: sets their lengths.
+    progress: called every `watch.report_every` iterations and at each stage's end.
+    should_stop: called before every iteration.
+    deadline: seconds of training after which the stages end at once.
+    scheduler: sets the stages' lengths.
     """
 
     def __init__(
@@ -63,7 +65,7 @@ class Trainer:
 
     @property
     def seconds(self) -> float:
-        """Return the seconds spent on this run, also before it was resumed, but not between two calls of `run`."""
+        """Return the seconds spent on this run: also those before a resume, but not those between calls of `run`."""
         return time.perf_counter() - self._clock_start
 
     def run(self, before: str | None = None) -> None:
@@ -92,7 +94,7 @@ class Trainer:
         self._saved_at = self.seconds
 
     def state(self) -> dict[str, Any]:
-        """Return everything that the rest of the run depends on, as plain values and tensors."""
+        """Return everything that the remaining run depends on, as plain values and tensors."""
         return {
             "fingerprint": self.fingerprint,
             "stage_index": self.stage_index,
@@ -109,7 +111,7 @@ class Trainer:
     def resume(self) -> None:
         """Restore the run from its checkpoint.
 
-        Raises CheckpointError when it is damaged or another run's.
+        Raises CheckpointError if it is damaged or belongs to another run.
         """
         assert self.checkpoint_path is not None
         state = load_checkpoint(self.checkpoint_path, self.fingerprint)
@@ -188,7 +190,7 @@ class Trainer:
         return Cancelled(what + kept)
 
     def _iterate(self, stage: Stage, guard: Guard) -> tuple[Loss, bool]:
-        """Render one view, compare, step and densify; return the loss and whether the stage has converged."""
+        """Render one view, compute its loss, step and densify; return the loss and whether the stage has converged."""
         view = stage.next_view()
         background = pick_background(self.plan.backdrop, stage.cycle.generator)
         step = stage.compute(view, background, stage.iteration)
@@ -224,7 +226,7 @@ class Trainer:
                 guard.expect_anew()
 
     def _watch(self, stage: Stage, loss: Loss, last: bool) -> None:
-        """Note the curve, report and save, each where it is due."""
+        """Extend the curve, report, and save, each if it is due."""
         watch, iteration = self.config.watch, stage.iteration
         if last or iteration % watch.curve_every == 0:
             self.curve.append(self._curve_row(stage))
@@ -271,7 +273,7 @@ class Trainer:
         )
 
     def _previews(self) -> dict[str, np.ndarray]:
-        """Return pictures of the first view that the curve looks at, or else the first to train on."""
+        """Return pictures of the curve's first view, or of the first training view if the curve has none."""
         plan = self.plan
         view = (plan.curve_views or plan.stages[-1].views)[0]
         return preview_pictures(plan.train_state.model, view, plan.backdrop.color)

@@ -1,4 +1,4 @@
-"""Photographs prepared for training, and the order in which they come."""
+"""Photographs prepared for training, and the order in which training uses them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from mgsr.ops.pixels import composite
 
 CPU = torch.device("cpu")
 
-# Data derived from the views stays in memory up to this size and goes to a file beyond it, like the decoded
-# photographs.
+# Data derived from the views stays in memory up to this size. Larger data goes to a file, like the decoded photographs.
 MADE_BYTES = 1 << 30
 
 
@@ -27,8 +26,8 @@ MADE_BYTES = 1 << 30
 class TrainingView:
     """One photograph as bytes, with the regions that its losses need.
 
-    Each iteration converts it to a target. Hundreds of large photographs as floats would fill the memory; as bytes they
-    share the scene's memory.
+    Each iteration converts it to a target. Bytes share the scene's memory, whereas hundreds of large photographs as
+    floats would fill the memory. Flat indices are row x W + column.
 
     image [H,W,3] uint8: straight colours.
     mask [H,W] uint8: None without masks.
@@ -73,9 +72,9 @@ def prepare_views(
 ) -> list[TrainingView]:
     """Convert the views to tensors on a device; without `masked`, their alpha is ignored.
 
-    edge_band: half width in pixels of the strip around the masks' contours that `off_edge` leaves out.
-    margin: with masks, the photographic losses look only at the mask's bounding box and this many pixels around it.
-    reduce: how many pixels, along each side, are averaged into one; edge_band and margin are of these.
+    edge_band: the half width, in pixels, of the strip around the masks' contours that `off_edge` leaves out.
+    margin: with masks, the photographic losses use only the mask's bounding box and this many pixels around it.
+    reduce: how many pixels along each side are averaged into one; edge_band and margin count the averaged pixels.
     """
     store = PixelStore(MADE_BYTES)
     return [_prepared(view, masked, margin, edge_band, device, reduce, store) for view in views]
@@ -95,7 +94,7 @@ def _prepared(
     if reduce > 1:
         view = _held(_reduced(view, reduce), store)
     image = _moved(view.image, device)
-    # Found on the host, so that a card is never waited for.
+    # The host finds the indices, so that it need not wait for a card.
     invalid = None if view.valid_mask is None else torch.from_numpy(np.flatnonzero(~view.valid_mask)).to(device)
     irradiance = None if view.irradiance is None else _moved(view.irradiance, device)
     if view.alpha is None:
@@ -128,7 +127,7 @@ def _moved(pixels: np.ndarray, device: torch.device) -> Tensor:
 def _reduced(view: View, by: int) -> View:
     """Average each by x by pixels of a view into one, with sides rounded up.
 
-    `reduced_view` of `mgsr.data.loading` takes any scale, but needs OpenCV, which a bare machine that trains has not.
+    `reduced_view` of `mgsr.data.loading` accepts any scale, but it needs OpenCV, and training must run without it.
     """
     camera = view.camera.resized(-(-view.camera.width // by), -(-view.camera.height // by))
 
@@ -144,8 +143,8 @@ def _reduced(view: View, by: int) -> View:
 def away_from_contour(mask: Tensor, band: int, valid: np.ndarray | None = None) -> Tensor:
     """Return the pixels [H,W] bool that lie farther than `band` pixels from the contour of a mask [H,W] uint8.
 
-    The contour is where the mask is half covered; diagonals count as one pixel. No contour passes between a valid pixel
-    and others.
+    valid [H,W] bool: the valid pixels, None for all. The contour is where the mask passes one half. A diagonal step
+    counts as one pixel. Borders between valid and invalid pixels are no contours.
     """
     inside = mask > 127
     outside = ~inside
@@ -162,7 +161,7 @@ def away_from_contour(mask: Tensor, band: int, valid: np.ndarray | None = None) 
 def bounding_region(alpha: np.ndarray, margin: int) -> tuple[int, int, int, int] | None:
     """Return the bounding box (y0, y1, x0, x1) of an alpha image [H,W], with a margin of `margin` pixels.
 
-    Ends are excluded. It is cut off at the image's border; None where the image covers nothing.
+    Ends are excluded. The image's border limits the box. Returns None if the image covers nothing.
     """
     rows, columns = np.flatnonzero(alpha.any(axis=1)), np.flatnonzero(alpha.any(axis=0))
     if not len(rows):
@@ -173,7 +172,7 @@ def bounding_region(alpha: np.ndarray, margin: int) -> tuple[int, int, int, int]
 
 
 def pick_background(backdrop: Backdrop, generator: torch.Generator) -> Color:
-    """Choose the colour behind the splats in one iteration; the generator is used only where it is random."""
+    """Choose the colour behind the splats in one iteration; only a random backdrop uses the generator."""
     if not backdrop.random:
         return backdrop.color
     red, green, blue = torch.rand(3, generator=generator).tolist()
@@ -186,7 +185,7 @@ def color_tensor(color: Color, device: torch.device) -> Tensor:
 
 
 class ViewCycle:
-    """An endless order of views: each once an epoch, shuffled anew by the generator for each."""
+    """An endless order of views: each view once an epoch, in an order that the generator shuffles for each epoch."""
 
     def __init__(self, count: int, generator: torch.Generator) -> None:
         self.count = count
@@ -201,5 +200,5 @@ class ViewCycle:
 
     @property
     def at_epoch_end(self) -> bool:
-        """Return whether every view has come in this epoch."""
+        """Return whether the epoch has used every view."""
         return not self.order

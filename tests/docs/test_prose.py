@@ -44,14 +44,36 @@ def _raised_errors(function: Function) -> set[str]:
     return {name for name in names if name.endswith("Error")}
 
 
-def _without_shapes(path: Path) -> list[str]:
-    """Return the public functions of arrays whose docstrings give no shape such as [N,3].
+def _arrays(function: Function) -> list[str]:
+    """Return the names of the arguments that are arrays."""
+    given = [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]
+    array = re.compile(r"(np\.ndarray|(torch\.)?Tensor)( \| None)?")
+    return [each.arg for each in given if each.annotation and array.fullmatch(ast.unparse(each.annotation))]
 
-    A method that implements another of its module has that one's docstring.
+
+def _unshaped(function: Function, text: str) -> list[str]:
+    """Return the array arguments without a shape in a docstring.
+
+    A single array may have any shape in it. Each of several is named before its shape, in the same sentence:
+    "points, normals [P,3]".
+    """
+    arrays = _arrays(function)
+    if "[" not in text:
+        return arrays or ["result"]
+    return [] if len(arrays) == 1 else [each for each in arrays if not re.search(rf"\b{each}\b[^.\[]{{0,80}}\[", text)]
+
+
+def _without_shapes(path: Path) -> list[str]:
+    """Return the public functions of arrays, with those arrays whose shapes, such as [N,3], their docstrings lack.
+
+    A method that implements another of its module has that one's docstring too.
     """
     functions = [function for function in _public_functions(path) if _takes_or_returns_arrays(function)]
-    documented = {function.name for function in functions if "[" in (ast.get_docstring(function) or "")}
-    return [f"{path.name}: {function.name}" for function in functions if function.name not in documented]
+    texts: dict[str, str] = {}
+    for each in functions:
+        texts[each.name] = f"{texts.get(each.name, '')} {' '.join((ast.get_docstring(each) or '').split())}"
+    found = [(each.name, _unshaped(each, texts[each.name])) for each in functions]
+    return [f"{path.name}: {name} {arrays}" for name, arrays in found if arrays]
 
 
 def _with_unnamed_errors(path: Path) -> list[str]:
@@ -99,9 +121,10 @@ def test_the_checks_find_what_they_look_for(tmp_path: Path) -> None:
     module, page = tmp_path / "bad.py", tmp_path / "bad.md"
     module.write_text(
         'def mean(values: np.ndarray) -> float:\n    """Return a mean."""\n    raise ValueError("no values")\n\n'
+        'def sum_of(one: Tensor, other: Tensor | None) -> Tensor:\n    """Return the sum of one [N] and other."""\n\n'
         f'def long() -> None:\n    """Do this.\n\n    {"word " * 121}"""\n'
     )
     page.write_text("# Title\n\n" + "word " * 121)
-    assert _without_shapes(module) == ["bad.py: mean"]
+    assert _without_shapes(module) == ["bad.py: mean ['values']", "bad.py: sum_of ['other']"]
     assert _with_unnamed_errors(module) == ["bad.py: mean ['ValueError']"]
     assert len(_long_paragraphs(module)) == len(_long_paragraphs(page)) == 1

@@ -19,13 +19,15 @@ Factor = Annotated[float, Range(1)]
 class BackdropOptions(Options):
     """The search for a backdrop of one colour in photographs without masks."""
 
-    side: Annotated[int, Range(16)] = 200  # pixels; longer photographs are subsampled by rows and columns
-    border: Annotated[float, Range(0, 0.5, open=True)] = 0.03  # width, as a share of a photograph's shorter side
+    side: Annotated[int, Range(16)] = 200  # pixels; longer side to which photographs are subsampled by rows and columns
+    border: Annotated[float, Range(0, 0.5, open=True)] = 0.03  # width of the border, as a share of a photograph's
+    # shorter side
     plain: Level = 16  # difference from the borders' median colour up to which a pixel counts as plain
     min_plain: Share = 0.9  # share of the border pixels that must be plain
-    different: Level = 48  # difference from which a pixel shows something else than the backdrop
-    min_different: Share = 0.02  # share of the other pixels that must be different; else nothing stands before it
-    near: Level = 24  # difference below which a point's colour counts as the backdrop's
+    different: Level = 48  # difference from which a pixel shows something other than the backdrop
+    min_different: Share = 0.02  # least share of the other pixels that must be different; with fewer, nothing stands
+    # before the backdrop
+    near: Level = 24  # difference from the backdrop below which a point counts as part of it
 
 
 @dataclass(frozen=True)
@@ -36,15 +38,16 @@ class MaskUseOptions(Options):
     """
 
     free_border: Share = 0.75  # share of black border pixels from which masks are silhouettes
-    min_black: Share = 0.01  # median share of black pixels in silhouettes; with less, the object fills the image
-    places: Pair = 20  # along each side of the cube of places that masks are compared on
-    reach: Positive = 1.25  # half that side over the radius of the ball that the images show whole
-    ignored: Share = 0.04  # agreement in space below which black is ignored; black rectangles at random places have
-    # at most 0.04, and masks of objects that the image cuts off 0.09 to 0.23
+    min_black: Share = 0.01  # least median share of black pixels in silhouettes; with less, the object fills the image
+    places: Pair = 20  # sample points along each side of the cube in which masks are compared
+    reach: Positive = 1.25  # half the side of that cube, in radii of the ball that all images show whole
+    ignored: Share = 0.04  # agreement in space below which black is ignored; black rectangles at random places have at
+    # most 0.04, and masks of objects that the image cuts off have 0.09 to 0.23
     silhouettes: Share = 0.06  # agreement in space above which masks are silhouettes
-    inverted: Share = 0.1  # agreement in space above which inverted silhouettes are looked for; they have 0.11 to 0.19
-    same_pixels: Share = 0.6  # agreement in the image above which masks hide a strip of it or the camera's own stand
-    strip_border: Share = 0.6  # share of white border pixels from which that is looked for
+    inverted: Share = 0.1  # agreement in space above which masks count as inverted silhouettes, which have 0.11 to 0.19
+    same_pixels: Share = 0.6  # agreement in the image above which masks hide a strip of the image or the camera's own
+    # stand
+    strip_border: Share = 0.6  # share of white border pixels from which such a strip is looked for
     white_border: Share = 0.85  # share of white border pixels from which silhouettes are doubtful
     max_ball: Factor = 2.4  # radii of the ball that the images show whole; the object's ball may be this large
     inverted_views: Share = 0.9  # share of the masks that must look inverted before all are inverted
@@ -61,12 +64,12 @@ class MaskUseOptions(Options):
 class OddMaskOptions(Options):
     """The search for masks that contradict the others."""
 
-    min_views: Pair = 6  # with fewer, correct masks also disagree much about the object's place
-    places: Pair = 32  # along each side of the cube of places that masks are compared on
-    dissent: Share = 0.1  # of the views, or one view, that may have a place of the object outside its mask
-    left_out: Share = 0.5  # share of the object from which a mask that leaves it out contradicts the others
-    needed: Share = 0.1  # share of what a mask leaves out that the other masks need, below which it is no mistake
-    max_odd: Share = 0.25  # share of the views above which it is unknown which masks are right
+    min_views: Pair = 6  # least number of views; with fewer, correct masks also disagree about the object's place
+    places: Pair = 32  # sample points along each side of the cube in which masks are compared
+    dissent: Share = 0.1  # share of the views whose masks may exclude a point of the object; one view always may
+    left_out: Share = 0.5  # share of the object that a mask must leave out to contradict the others
+    needed: Share = 0.1  # least share of what a mask leaves out that the other masks need; below it, the mask is right
+    max_odd: Share = 0.25  # largest share of contradictory masks; above it, it is unknown which masks are right
 
 
 @dataclass(frozen=True)
@@ -93,10 +96,12 @@ class UndistortionOptions(Options):
     """The pinhole image that an undistorted photograph fills."""
 
     half_angle: Annotated[float, Range(10, 80)] = 60.0  # degrees from the optical axis to which wide lenses are
-    # cropped; 60 hold 90% of an action camera's photograph, 70 hold 99% in an image of almost twice the pixels
-    rectangle: Share = 0.97  # share of the valid pixels from which a rectangle of them is kept instead of a mask
-    max_growth: Factor = 2.0  # of the image along each side; a lens beyond it counts as a wide fisheye
-    sketch: Annotated[int, Range(16)] = 128  # columns and rows of the coarse grid that finds the valid part
+    # cropped; 60 hold 90% of an action camera's photograph, 70 hold 99% in an image with almost twice the pixels
+    rectangle: Share = 0.97  # share of the valid pixels that the largest valid rectangle must hold to be kept in place
+    # of a mask
+    max_growth: Factor = 2.0  # largest growth of the image along each side; a lens beyond it counts as a wide fisheye
+    sketch: Annotated[int, Range(16)] = 128  # columns and rows of the coarse grid that finds the valid part of the
+    # image
 
 
 @dataclass(frozen=True)
@@ -108,21 +113,22 @@ class SharpnessOptions(Options):
     """
 
     side: Annotated[int, Range(16)] = 800  # pixels; longer side at which sharpness is measured
-    min_side: Count = 48  # pixels of the shorter side below which images are too small to tell
-    sigma: Positive = 1.5  # pixels; of the Gaussian that blurs a photograph for comparison with itself
-    max_loss: NotNegative = 0.55  # powers of two of sharpness that a photograph may lack
-    nearest: WholeNumber = 6  # neighbours by the camera's place
-    adjacent: WholeNumber = 8  # neighbours by name, before and after each
-    same_side: Angle = 75.0  # degrees between the directions of two cameras, beyond which they show different sides of
-    # an object, of which one may be plainer; neighbours by name do not count then
+    min_side: Count = 48  # pixels; images whose shorter side is smaller are too small to judge
+    sigma: Positive = 1.5  # pixels; standard deviation of the Gaussian that blurs a photograph for comparison with
+    # itself
+    max_loss: NotNegative = 0.55  # powers of two of sharpness that a photograph may lack against its neighbours
+    nearest: WholeNumber = 6  # number of neighbours by the cameras' places
+    adjacent: WholeNumber = 8  # number of neighbours by name, before and after each photograph
+    same_side: Angle = 75.0  # degrees between the directions of two cameras; beyond it they show different sides of an
+    # object, of which one may be plainer, so neighbours by name do not count
 
 
 @dataclass(frozen=True)
 class BrightnessOptions(Options):
     """The comparison of a photograph's mean light with that of its neighbours."""
 
-    side: Annotated[int, Range(16)] = 256  # pixels; longer photographs are subsampled
-    neighbours: Count = 4  # photographs from the nearest directions
+    side: Annotated[int, Range(16)] = 256  # pixels; longer side to which photographs are subsampled
+    neighbours: Count = 4  # number of neighbours of a photograph, from the nearest directions
 
 
 @dataclass(frozen=True)
@@ -130,10 +136,11 @@ class UpOptions(Options):
     """The search for the direction that points up, by the axes of the cameras."""
 
     near_axis: Annotated[float, Range(0, 45)] = 20.0  # degrees within which the direction snaps to an axis
-    min_mean: Share = 0.1  # length of the mean of the cameras' up vectors below which it is unreliable
-    lying: Share = 0.9  # length of the mean of their right vectors above which all cameras lie on their side
-    level: Share = 0.14  # root mean square of the sines by which level cameras lean to a side, of 8 degrees
-    around: Share = 0.1  # mean square of the cameras' right vectors across their main direction, from which the
+    min_mean: Share = 0.1  # least length of the mean of the cameras' up vectors; a shorter mean is unreliable
+    lying: Share = 0.9  # length of the mean of the cameras' right vectors above which all cameras lie on their side
+    level: Share = 0.14  # largest root mean square of the sines of the cameras' sideways tilts at which they count as
+    # level; 0.14 is 8 degrees
+    around: Share = 0.1  # mean square of the cameras' right vectors across their main direction, above which the
     # cameras look from all around
 
 
@@ -141,8 +148,8 @@ class UpOptions(Options):
 class ViewCountOptions(Options):
     """The warning of too few photographs."""
 
-    min_views: Count = 8  # training photographs, with fewer of which the surface is rough at best
-    max_angle: Angle = 35.0  # degrees between two views at which a surface still looks alike in both
+    min_views: Count = 8  # least number of training photographs; with fewer, the surface is rough at best
+    max_angle: Angle = 35.0  # degrees; largest angle between two views at which a surface still looks alike in both
 
 
 @dataclass(frozen=True)
@@ -195,10 +202,12 @@ class ZoomCheckOptions(Options):
 class CameraSearchOptions(Options):
     """The search for cameras by structure from motion with COLMAP."""
 
-    feature_side: Annotated[int, Range(64)] = 2400  # pixels; larger photographs are reduced before features are found
-    peak: Positive = 0.0033  # contrast of a feature, half of COLMAP's default, so that plain objects have features too
-    focal_guess: Positive = 1.2  # focal length in longer sides of the image, where nothing is known of it
-    max_models: Count = 10  # separate models of which the largest is taken
+    feature_side: Annotated[int, Range(64)] = 2400  # pixels; longer side to which photographs are reduced for the
+    # search for features
+    peak: Positive = 0.0033  # least contrast of a feature; it is half of COLMAP's default, so that plain objects have
+    # features too
+    focal_guess: Positive = 1.2  # assumed focal length of an unknown lens, in longer sides of the image
+    max_models: Count = 10  # largest number of separate models; the largest model is taken
     pairs: ImagePairOptions = field(default_factory=ImagePairOptions)
     zoom: ZoomCheckOptions = field(default_factory=ZoomCheckOptions)
 
@@ -207,7 +216,7 @@ class CameraSearchOptions(Options):
 class DataOptions(Options):
     """The reading of a capture."""
 
-    mask_dissent: Share = 0.06  # share of the masks of a found object that may exclude a point of it
+    mask_dissent: Share = 0.06  # share of a found object's masks that may exclude a point of the object
     backdrop: BackdropOptions = field(default_factory=BackdropOptions)
     mask_use: MaskUseOptions = field(default_factory=MaskUseOptions)
     odd_masks: OddMaskOptions = field(default_factory=OddMaskOptions)

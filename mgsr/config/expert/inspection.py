@@ -15,17 +15,18 @@ from mgsr.config.options import Angle, Count, NotNegative, Options, Positive, Ra
 class FeatureOptions(Options):
     """The local features of photographs, and which photographs look alike."""
 
-    side: Annotated[int, Range(16)] = 512  # pixels; larger side of the image in which features are found
+    side: Annotated[int, Range(16)] = 512  # pixels; longer side of the reduced image in which features are found
     count: Annotated[int, Range(2)] = 800  # most features of a photograph, the strongest first
-    edge: WholeNumber = 4  # pixels from a silhouette or an invalid pixel, within which a feature depends on the
-    # background
-    words: Annotated[int, Range(2)] = 32  # of the vocabulary that describes whole photographs
-    sample: Count = 6000  # features from which the vocabulary is made
-    ratio: Share = 0.8  # largest ratio of the distances of the best and the second best match. Source: Lowe 2004
+    edge: WholeNumber = 4  # pixels from a silhouette or an invalid pixel; nearer features are dropped, because they
+    # depend on the background
+    words: Annotated[int, Range(2)] = 32  # words of the visual vocabulary that describes whole photographs
+    sample: Count = 6000  # features from which that vocabulary is made
+    ratio: Share = 0.8  # largest ratio of the distances of the best and the second best match (Lowe 2004)
     around: Positive = 1.5  # pixels; standard deviation of the Gaussian window in which a feature's light is measured
-    clipped: Annotated[int, Range(0, 255)] = 250  # least value of a pixel whose light is unknown, as it may be clipped
-    black: Annotated[int, Range(0, 255)] = 3  # largest value of a pixel that is too dark to tell its light
-    lost: Share = 0.05  # share of such pixels in the window above which a feature's light is unknown
+    clipped: Annotated[int, Range(0, 255)] = 250  # least pixel value that may be clipped, so that its light counts as
+    # unknown
+    black: Annotated[int, Range(0, 255)] = 3  # largest pixel value that is too dark to measure its light
+    lost: Share = 0.05  # share of clipped or black pixels in the window above which a feature's light is unknown
 
 
 @dataclass(frozen=True)
@@ -61,10 +62,13 @@ class VerdictOptions(Options):
 class PoseCheckOptions(Options):
     """The search for poses that contradict the photographs."""
 
-    cluster: Annotated[int, Range(2)] = 3  # photographs of a cluster that has a copy of the structure to itself
-    min_contradictions: Count = 2  # pairs that must contradict a photograph or a cluster
-    accused: Share = 0.5  # share of a cluster that must be in such pairs; a part that repeats elsewhere puts few there
-    majority: Share = 0.5  # share of the decided photographs that the largest group must have to accuse others
+    cluster: Annotated[int, Range(2)] = 3  # least number of photographs of a cluster that sees its own copy of the
+    # structure
+    min_contradictions: Count = 2  # least number of pairs that contradict a photograph or a cluster with wrong poses
+    accused: Share = 0.5  # share of a cluster that must be in contradictory pairs; a part that repeats elsewhere
+    # involves few photographs
+    majority: Share = 0.5  # least share of the decided photographs in the largest group; with less, no photograph is
+    # called contradictory
     many: Share = 0.1  # share of the photographs with contradictory poses above which the finding is an error
     less_exact: Positive = 0.7  # pixels; residual of a photograph's better pairs above which it fits less exactly
     less_exact_usual: NotNegative = 4.0  # multiple of the usual residual above which a photograph fits less exactly
@@ -79,7 +83,8 @@ class PoseCheckOptions(Options):
 class CoverageOptions(Options):
     """The check of the cameras' places around the object."""
 
-    seen: Angle = 50.0  # degrees between a side of the object and a camera, beyond which the view is grazing at best
+    seen: Angle = 50.0  # degrees between a side of the object and a camera; beyond it, the camera sees the side at a
+    # grazing angle at best
     underside: Share = 0.35  # sine of the angle below the horizon beyond which a side belongs to the underside
     min_gap: Share = 0.03  # share of the sphere, without the underside
     directions: Count = 1500  # directions in which the object's sides are tested
@@ -105,17 +110,17 @@ class PhotoCheckOptions(Options):
     # to 0.24
     contour_side: Annotated[int, Range(16)] = 200  # pixels at which masks are compared
     focal: NotNegative = 0.1  # relative difference of focal lengths above which lenses differ
-    wide: Angle = 100.0  # degrees across the image above which a lens is wide
-    small_side: NotNegative = 480.0  # pixels of the longer side below which images are small
+    wide: Angle = 100.0  # degrees across the image above which a lens counts as wide
+    small_side: NotNegative = 480.0  # pixels; longer side below which images count as small
 
 
 @dataclass(frozen=True)
 class InspectionConfig(Options):
     """The check before training."""
 
-    photographs: Annotated[int, Range(2)] = 300  # whose features are compared, spread over all
-    track: Annotated[int, Range(2)] = 3  # least number of photographs of a point
-    min_points: Count = 50  # with fewer, their median does not tell where the object is
+    photographs: Annotated[int, Range(2)] = 300  # most photographs whose features are compared, spread evenly over all
+    track: Annotated[int, Range(2)] = 3  # least number of photographs that must show a point
+    min_points: Count = 50  # least number of points whose median shows where the object is
     features: FeatureOptions = field(default_factory=FeatureOptions)
     pairs: PairOptions = field(default_factory=PairOptions)
     verdicts: VerdictOptions = field(default_factory=VerdictOptions)

@@ -32,7 +32,7 @@ class RemoveContradictedOptions(Options):
 class CutAtGroundOptions(Options):
     """The cut at the plane on which a found object stands."""
 
-    sunk: NotNegative = 1.0  # footprints below the plane that are kept
+    sunk: NotNegative = 1.0  # footprints; depth below the plane up to which the surface is kept
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,10 @@ class SurfaceChoiceOptions(Options):
 class ViewFitOptions(Options):
     """The registration of the first surface to the rendered views, where the trained surface is torn."""
 
-    prior_weight: Positive = 0.02  # of the position of a vertex that no view confirms; 1 for others
-    confidence: Share = 0.1  # in the normal of a vertex without a similar normal in the views; 1 for others
-    min_cosine: Share = 0.3  # least cosine between a vertex's normal and a similar one of the views' surface
+    prior_weight: Positive = 0.02  # weight of the position of a vertex that no view confirms; the weight of others is 1
+    confidence: Share = 0.1  # confidence in the normal of a vertex without a similar normal in the views; that of
+    # others is 1
+    min_cosine: Share = 0.3  # least cosine between a vertex's normal and a similar normal of the views' surface
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class UnwrapOptions(Options):
 
     padding: WholeNumber = 4  # texels between two charts, so that neither bilinear sampling nor mipmaps mix them
     min_chart: Positive = 4.0  # texels along a side of the smallest chart
-    max_side: Count = 8192  # texels along a side; larger pictures are too much for many viewers
+    max_side: Count = 8192  # texels along a side of the atlas; larger pictures are too large for many viewers
     filled: Annotated[float, Range(0, 1, open=True)] = 0.6  # usual share of an atlas that charts fill
     charts: ChartOptions = field(default_factory=ChartOptions)
 
@@ -115,8 +116,8 @@ class TextureOptions(Options):
 class MeshOptions(Options):
     """The mesh's extraction and finishing."""
 
-    mask_side: Annotated[int, Range(16)] = 800  # pixels; longer side of the reduced masks, whose contours are known to
-    # a fraction of a pixel
+    mask_side: Annotated[int, Range(16)] = 800  # pixels; longer side of the reduced masks, whose contours keep
+    # sub-pixel accuracy
     poisson_margin: Annotated[float, Range(1)] = 1.1  # side of the octree's cube, relative to the points' bounding box
     outliers: Annotated[float, Range(0, 50)] = 0.1  # percent of the rendered points at each end of an axis that do not
     # count for the surface's bounding box

@@ -28,14 +28,15 @@ class BackgroundRenderOptions(Options):
     """The image-based rendering of the background, and its photo-consistency."""
 
     cameras: Count = 24  # other photographs to sample, the most similar viewing directions first
-    samples: Count = 9  # colours to collect for a pixel
-    min_samples: Count = 2  # with fewer, the background counts as unknown
-    agreeing: Count = 2  # photographs that must show a colour at a place before it is photo-consistent
+    samples: Count = 9  # number of colours that are collected for a pixel
+    min_samples: Count = 2  # least number of colours; with fewer, the background counts as unknown
+    agreeing: Count = 2  # number of photographs that must show a colour at a place before it is photo-consistent
     test_height: Positive = 0.05  # ball radii; least height above the support plane at which a pixel's ray is tested
-    tests: Count = 4  # heights at which a pixel's ray is tested; each is twice the one before
+    tests: Count = 4  # number of heights at which a pixel's ray is tested; each is twice the previous one
     covered: Share = 0.3  # rendered opacity above which surfels form a surface
     plane_radius: Positive = 4.0  # ball radii around the scene's centre within which the support plane is visible
-    plane_first: Positive = 1.05  # times the surfels' depth; the plane wins if its depth is less than this
+    plane_first: Positive = 1.05  # factor on the surfels' depth; the plane is visible if its depth is less than the
+    # product
     far: Positive = 20.0  # ball radii; camera z of a pixel whose ray meets no surface
 
 
@@ -54,8 +55,9 @@ class RandomWalkerOptions(Options):
     """The random walker that turns costs into a matte. Source: Grady 2005."""
 
     smoothness: NotNegative = 6.0  # weight of an edge between pixels of equal colour, relative to the costs
-    contrast: Positive = 0.05  # sRGB 0..1; a colour difference of this size reduces an edge's weight to 0.6 of that
-    tolerance: Positive = 1e-3  # relative residual at which the conjugate gradient solver ends
+    contrast: Positive = 0.05  # sRGB 0..1; colour difference that reduces an edge's weight to 0.6 times the weight of
+    # equal colours
+    tolerance: Positive = 1e-3  # relative residual at which the conjugate gradient solver stops
     iterations: Count = 300  # most iterations of the solver
 
 
@@ -63,11 +65,12 @@ class RandomWalkerOptions(Options):
 class ColorModelOptions(Options):
     """The colour models of the object and of the support plane, which judge places that no photograph shows clearly."""
 
-    samples: Count = 20_000  # colours to draw for each model
-    neighbours: Count = 20  # the distance to the nearest sample of this rank counts
+    samples: Count = 20_000  # number of colours that are drawn for each model
+    neighbours: Count = 20  # rank of the nearest sample whose distance counts
     deviation: Positive = 0.015  # standard deviation of a colour from its model
-    reach: Positive = 1.0  # diagonals of the object's box around its middle within which the plane is sampled
-    shades: Count = 4  # copies of the plane's colours from full to least brightness, for contact shadows
+    reach: Positive = 1.0  # radius around the object's middle within which the plane is sampled, in diagonals of the
+    # object's box
+    shades: Count = 4  # number of copies of the plane's colours, from full to least brightness, for contact shadows
     darkest: Share = 0.75  # least brightness, as a factor of the sRGB values
 
 
@@ -76,8 +79,9 @@ class MatteOptions(Options):
     """The mattes of the object. A cost is a squared colour difference over twice a variance."""
 
     noise: Positive = 0.02  # standard deviation of a photograph from its known background
-    spread: NotNegative = 1.5  # times the spread of the background's samples, which adds to the noise
-    guessed: Positive = 0.06  # standard deviation where the background is extrapolated, or only photo-consistency tells
+    spread: NotNegative = 1.5  # factor on the spread of the background's samples, which adds to the noise
+    guessed: Positive = 0.06  # standard deviation where the background is extrapolated, or where only photo-consistency
+    # decides
     rendered: Positive = 0.04  # standard deviation of a photograph from the object's rendered surfels
     max_cost: Positive = 9.0  # upper limit of a cost
     certain_cost: NotNegative = 4.0  # background cost above which a pixel certainly does not show the background
@@ -91,7 +95,8 @@ class MatteOptions(Options):
     max_hole: Share = 0.005  # area of a hole, as a share of the mask's, below which it is filled: highlights look like
     # background
     margin: WholeNumber = 4  # pixels by which the processed window exceeds the region
-    scales: Count = 5  # Gaussian blurs by which colours are extended: of 1 pixel, 2 pixels, 4 pixels and so on
+    scales: Count = 5  # number of Gaussian blurs by which colours are extended: of 1 pixel, 2 pixels, 4 pixels and so
+    # on
     min_weight: Share = 0.1  # blurred weight above which an extended colour counts
     walker: RandomWalkerOptions = field(default_factory=RandomWalkerOptions)
 
@@ -130,8 +135,8 @@ class ObjectSearchOptions(Options):
     min_agreement: Share = 0.75  # least mean intersection over union of the masks and the hull's silhouettes
     min_shown: Share = 0.8  # least share of the photographs that show the object
     full: Share = 0.7  # median share of the image above which masks do not show a single object
-    cut: NotNegative = 0.1  # pixels on the image's border, over the square root of the mask's area, above which it is
-    # cut off
+    cut: NotNegative = 0.1  # ratio of the mask's pixels on the image's border to the square root of its area, above
+    # which the image cuts the object off
     max_cut: Share = 0.5  # largest share of the photographs that cut the object off
 
 

@@ -17,8 +17,8 @@ class ObservationOptions(Options):
     """The observations of a surface's points in the photographs."""
 
     min_cosine: Share = 0.25  # least cosine between normal and view direction
-    min_alpha: Share = 0.97  # least alpha of a pixel; those below mix object and background
-    clipped: Share = 0.98  # largest value of a pixel's brightest channel; those above are clipped
+    min_alpha: Share = 0.97  # least alpha of a pixel; pixels with less mix object and background
+    clipped: Share = 0.98  # largest value of a pixel's brightest channel; brighter pixels count as clipped
     count: Count = 24  # most observations of a point, the most frontal ones
 
 
@@ -38,10 +38,12 @@ class FlashFitOptions(Options):
 
     points: Count = 3000  # approximate number of points in the fit
     steps: Count = 40  # most Gauss-Newton steps
-    step_tolerance: NotNegative = 3e-4  # of the distance to the surface; the fit ends when the lamp moves by less
-    rounds: Count = 4  # of reweighting in a step
-    damping: NotNegative = 1e-3  # of Levenberg and Marquardt, for weakly constrained parameters
-    max_offset: NotNegative = 0.25  # of the distance to the surface; largest offset of the lamp from the lens
+    step_tolerance: NotNegative = 3e-4  # move of the lamp, as a share of the distance to the surface, below which the
+    # fit ends
+    rounds: Count = 4  # rounds of reweighting in a step
+    damping: NotNegative = 1e-3  # damping of Levenberg and Marquardt, for weakly constrained parameters
+    max_offset: NotNegative = 0.25  # largest offset of the lamp from the lens, as a share of the distance to the
+    # surface
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class IrradianceOptions(Options):
     edge: Positive = 1.5  # pixels; edge length of the mesh that carries the light
     max_faces: Count = MAX_FACES  # most faces of the mesh with that edge length
     brightest: Share = 0.995  # quantile of the irradiance that counts as the brightest light
-    rays: Count = 512  # along an image's longer side at least; small images take several rays for a pixel
+    rays: Count = 512  # least number of rays along an image's longer side; small images take several rays for a pixel
     dimmest: Annotated[float, Range(0, 1, open=True)] = 0.02  # least irradiance at which a photograph shows a colour
 
 
@@ -60,14 +62,14 @@ class FlashOptions(Options):
     """Photometric stereo under a flash. Source: Woodham 1980."""
 
     min_observations: Count = 5  # photographs that see a point; with fewer, its confidence is 0
-    prior_weight: NotNegative = 0.005  # of the surface's own normal, relative to the photographs
-    rounds: Count = 5  # of iteratively reweighted least squares
+    prior_weight: NotNegative = 0.005  # weight of the surface's own normal, relative to the photographs
+    rounds: Count = 5  # rounds of iteratively reweighted least squares
     above: Positive = 0.5  # deviations at which an observation that is too bright counts half
     below: Positive = 1.5  # deviations at which an observation that is too dark counts half
     half_confidence: Positive = 0.03  # radians; standard deviation of a normal at which the confidence is 0.5
-    footprint_edge: NotNegative = 1.25  # pixels; on meshes with shorter edges, observations are corrected for the
-    # pixels' footprints
-    footprint_rays: Count = 2  # along a pixel's side, of that correction
+    footprint_edge: NotNegative = 1.25  # pixels; edge length below which observations are corrected for the pixels'
+    # footprints
+    footprint_rays: Count = 2  # rays along a pixel's side in that correction
     fit: FlashFitOptions = field(default_factory=FlashFitOptions)
     occlusion: OcclusionOptions = field(default_factory=OcclusionOptions)
     irradiance: IrradianceOptions = field(default_factory=IrradianceOptions)
@@ -82,7 +84,7 @@ class EnvironmentFitOptions(Options):
     min_observations: Annotated[int, Range(2)] = 3  # photographs that see a point of the fit
     smoothness: NotNegative = 0.002  # weight of the squared differences of neighbouring cells, relative to the
     # observations
-    rounds: Count = 3  # of iteratively reweighted least squares
+    rounds: Count = 3  # rounds of iteratively reweighted least squares
     outlier: Positive = 3.0  # deviations at which an observation counts half
 
 
@@ -98,8 +100,8 @@ class EnvironmentNormalOptions(Options):
     outlier: Positive = 3.0  # deviations at which an observation counts half
     pooled: NotNegative = 2.5  # pixels over which the costs of neighbours are pooled
     tilt_cost: NotNegative = 0.08  # cost of a tilt by 10 degrees, relative to the observations' mean cost
-    convex: NotNegative = 0.12  # radians per pixel; convex edges that bend more are kept, as pixels show too little of
-    # each side
+    convex: NotNegative = 0.12  # radians per pixel; convex edges that bend more are kept, because pixels show too
+    # little of each side
     half_confidence: Positive = 4.0  # degrees; standard deviation of a normal at which the confidence is 0.5
 
 
@@ -108,7 +110,7 @@ class EnvironmentResidualOptions(Options):
     """The photometric residual of a surface under a mirrored environment map."""
 
     averaged: NotNegative = 6.0  # pixels over which residuals are averaged
-    min_observations: Count = 3  # of a point that counts
+    min_observations: Count = 3  # least number of observations of a point that counts
 
 
 @dataclass(frozen=True)
@@ -139,9 +141,9 @@ class LightOptions(Options):
 class ShadingOptions(Options):
     """The integration of target normals to a surface. Source: Nehab and others 2005."""
 
-    contour_weight: NotNegative = 10.0  # of a contour's displacement at a vertex that it touches
-    prior_weight: Positive = 0.05  # of a displacement of 0 at every vertex
-    max_faces: Count = MAX_FACES  # of the mesh that is bent
+    contour_weight: NotNegative = 10.0  # weight of a contour's displacement at a vertex that it touches
+    prior_weight: Positive = 0.05  # weight of a displacement of 0 at every vertex
+    max_faces: Count = MAX_FACES  # most faces of the mesh that is bent
     contour_smoothing: NotNegative = 1.5  # pixels over which the contours' displacements are smoothed
     bilateral: BilateralOptions = field(default_factory=BilateralOptions)
     contours: ContourSearchOptions = field(default_factory=ContourSearchOptions)
@@ -161,13 +163,13 @@ class ShadingPass(Options):
 class DetailOptions(Options):
     """The fine detail of a surface in photographs, and the mix of channels that locates it best."""
 
-    blur: NotNegative = 1.0  # pixels; standard deviation of the Gaussian against image noise
-    coarse: Positive = 3.0  # pixels; standard deviation of the wider Gaussian that is subtracted, as coarser variation
-    # is shading
+    blur: NotNegative = 1.0  # pixels; standard deviation of the Gaussian that removes image noise
+    coarse: Positive = 3.0  # pixels; standard deviation of the wider Gaussian that is subtracted, because coarser
+    # variation is shading
     min_cosine: Share = 0.3  # least cosine between normal and view direction
-    min_observations: Count = 4  # photographs that see a vertex
-    max_deviations: Positive = 3.0  # of the residual; outliers beyond this do not count for the mix
-    min_gain: NotNegative = 1.5  # least gain in information of another mix over grey
+    min_observations: Count = 4  # least number of photographs that must see a vertex
+    max_deviations: Positive = 3.0  # deviations of the residual; larger residuals do not count in the choice of the mix
+    min_gain: NotNegative = 1.5  # least factor by which another mix must be more informative than grey
 
 
 @dataclass(frozen=True)
@@ -176,16 +178,16 @@ class PhotometricOptions(Options):
 
     edge: Positive = 1.5  # pixels; edge length of the mesh at whose vertices the photographs are sampled
     coarse_edge: Positive = 3.0  # pixels; edge length of the mesh that carries the smooth displacements
-    max_faces: Count = MAX_FACES  # of either mesh
-    rounds: WholeNumber = 4  # of sampling the photographs and moving the vertices
+    max_faces: Count = MAX_FACES  # most faces of either mesh
+    rounds: WholeNumber = 4  # rounds of sampling the photographs and moving the vertices
     limit: NotNegative = 1.0  # pixels; largest move of a vertex in a round
     noise_reach: NotNegative = 3.0  # pixels over which the residual variance is averaged
     outlier: Positive = 3.0  # deviations at which an observation counts half
     mix_views: Count = 16  # most photographs for the choice of the channel mix
-    mirrored: Positive = 0.1  # times the noise; mirrored detail of this size halves an observation's weight
-    precision: Positive = 0.3  # pixels; standard deviation of a displacement that has weight 1 in the thin plate
+    mirrored: Positive = 0.1  # mirrored detail, in multiples of the noise, at which an observation counts half
+    precision: Positive = 0.3  # pixels; standard deviation of a displacement with weight 1 in the thin plate
     contour_precision: Positive = 0.1  # pixels; standard deviation of a mask's contour
-    prior_weight: Positive = 1e-4  # of a displacement of 0, for vertices without observations
+    prior_weight: Positive = 1e-4  # weight of a displacement of 0 at vertices without observations
     details: DetailOptions = field(default_factory=DetailOptions)
     contours: ContourSearchOptions = field(default_factory=ContourSearchOptions)
 
@@ -198,7 +200,7 @@ class ResidualOptions(Options):
     max_faces: Count = MAX_FACES  # most faces of the mesh with that edge length
     surface_error: NotNegative = 0.7  # pixels; tolerated position error of the surface
     averaged: NotNegative = 3.0  # pixels over which the residual is averaged
-    forgiven: NotNegative = 6.0  # times the median over the surface; residuals below this are noise and gloss
+    forgiven: NotNegative = 6.0  # multiple of the surface's median residual; smaller residuals are noise and gloss
     details: DetailOptions = field(default_factory=DetailOptions)
 
 
@@ -233,18 +235,20 @@ class StaticLightOptions(Options):
     """The separation of static light from a surface's colours. Source: Retinex, Land and McCann 1971."""
 
     reach: NotNegative = 2.0  # edges over which the rays of neighbours are averaged
-    places: Annotated[int, Range(2)] = 3000  # of the surface, between which brightness is compared
-    neighbours: Count = 8  # of each place
-    step: Positive = 0.05  # change of the log albedo that begins to count as a step
-    prior: NotNegative = 0.004  # change of the log brightness that a light of 1 must explain between neighbours to be
-    # worth it
-    min_gain: Share = 0.03  # share of the cost by which a light must explain the changes better than even light
-    min_change: NotNegative = 0.01  # change of the log brightness, root mean square, that a light must explain
-    darkest: Annotated[float, Range(0, 1, open=True)] = 0.1  # least irradiance, so that dark places keep their noise
+    places: Annotated[int, Range(2)] = 3000  # number of random vertices between which brightness is compared
+    neighbours: Count = 8  # number of neighbours that each of these vertices is compared with
+    step: Positive = 0.05  # change of the log albedo above which it counts as a step
+    prior: NotNegative = 0.004  # change of the log brightness between neighbours that a light of size 1 must explain to
+    # outweigh its own cost
+    min_gain: Share = 0.03  # least share of the cost that a light must save against even light
+    min_change: NotNegative = 0.01  # least root mean square change of the log brightness that a light must explain
+    darkest: Annotated[float, Range(0, 1, open=True)] = 0.1  # least irradiance, because division by a smaller one would
+    # amplify the noise of dark places
     evaluations: Count = 15  # most evaluations of the fit
-    height: Annotated[int, Range(4)] = 16  # cells of environment.exr's light along a meridian, where nothing mirrors it
-    freedom: Annotated[float, Range(0, 1, open=True)] = 0.05  # cost of a change of that light's radiance against one of
-    # its harmonics; the harmonics of low degree, which matte surfaces show, are negative in places
+    height: Annotated[int, Range(4)] = 16  # rows of environment.exr if the surface mirrors no environment
+    freedom: Annotated[float, Range(0, 1, open=True)] = 0.05  # cost of a change of that environment's radiance,
+    # relative to the same change of a harmonic; some change is needed, because harmonics of low degree are negative in
+    # places
 
 
 @dataclass(frozen=True)

@@ -45,9 +45,9 @@ class DepthFillingOptions(Options):
 
     edge: Positive = 0.03  # sRGB 0..1; difference of neighbouring pixels that counts as an edge
     edge_smoothness: Positive = 1e-6  # cost of bending across an edge, relative to 1 elsewhere
-    data_weight: Positive = 10.0  # of the found depths, relative to the bending
-    confidence_loss: Positive = 2e-3  # leak of the diffused confidence at each pixel: it falls to 1/e over about twenty
-    # pixels
+    data_weight: Positive = 10.0  # weight of the found depths, relative to the bending
+    confidence_loss: Positive = 2e-3  # loss of the diffused confidence at each pixel, which falls to 1/e over about
+    # twenty pixels
     min_confidence: Share = 0.8  # least confidence of a filled depth
 
 
@@ -58,20 +58,21 @@ class SceneStereoOptions(Options):
     All other options of the search and of the consistency are those of `expert.stereo`.
     """
 
-    max_pixels: Count = 2_200_000  # of all photographs together; larger photographs are reduced
-    coarser: Annotated[float, Range(0, 1, open=True)] = 0.5  # of the sides of these, where the search begins and
-    # gaps are filled
+    max_pixels: Count = 2_200_000  # most pixels of all photographs together; larger photographs are reduced
+    coarser: Annotated[float, Range(0, 1, open=True)] = 0.5  # scale of the smaller photographs on which the search
+    # begins and gaps are filled
     nearest: Positive = 0.15  # ball radii; least camera z of the search
     farthest: Positive = 40.0  # ball radii; largest camera z of the search; must exceed nearest
-    noise: Positive = 0.003  # sRGB 0..1; replaces that of expert.stereo.match.settings, as walls have little contrast
-    rounds: WholeNumber = 4  # of the search; replaces those of expert.stereo.match.settings
-    max_angle: Angle = 75.0  # degrees; views at a larger angle are no neighbours and confirm nothing
-    confirming_views: Count = 16  # nearest views that may confirm a depth
-    spacing: Positive = 1.5  # pixels, contracted outside the ball; cell size for thinning points
-    min_in_cell: Count = 3  # least number of pixels with a depth in a cell; most wrong depths lie alone
-    spacing_filled: Positive = 0.06  # ball radii, contracted outside the ball; the same for filled depths, as flat
-    # regions without contrast need few splats
-    same_filled: Positive = 0.02  # relative difference of filled depths that count as the same
+    noise: Positive = 0.003  # sRGB 0..1; replaces the noise of expert.stereo.match.settings, because walls have little
+    # contrast
+    rounds: WholeNumber = 4  # rounds of the search; replaces the rounds of expert.stereo.match.settings
+    max_angle: Angle = 75.0  # degrees; views at a larger angle are neither matched nor used for confirmation
+    confirming_views: Count = 16  # number of nearest views that may confirm a depth
+    spacing: Positive = 1.5  # pixels; size of the cells, in contracted space, in which points are averaged
+    min_in_cell: Count = 3  # least number of pixels with a depth in a cell, because most wrong depths lie alone
+    spacing_filled: Positive = 0.06  # ball radii; size of the cells, in contracted space, for points at filled depths,
+    # because flat regions without contrast need few splats
+    same_filled: Positive = 0.02  # largest relative difference of filled depths that count as the same
     min_confirming_filled: WholeNumber = 3  # least number of other views that confirm a filled depth
     filling: DepthFillingOptions = field(default_factory=DepthFillingOptions)
 
@@ -84,18 +85,18 @@ class SceneStereoOptions(Options):
 class BackgroundPointOptions(Options):
     """Background points where stereo finds none. Source: iterated conditional modes, Besag 1986."""
 
-    directions: Count = 6000  # spread evenly over the sphere; 6000 are 2.6 degrees apart
+    directions: Count = 6000  # number of directions, spread evenly over the sphere; 6000 are 2.6 degrees apart
     nearest: Positive = 1.5  # ball radii from the scene's centre to the nearest level
     farthest: Positive = 40.0  # ball radii from the scene's centre to the farthest level; must exceed nearest
-    levels: Annotated[int, Range(2)] = 24  # distances, even in their inverse
+    levels: Annotated[int, Range(2)] = 24  # number of distances, evenly spaced in their inverse
     side: Count = 40  # pixels; longer side of the reduced photographs, enough for plain surfaces
     views: Count = 100  # most photographs to compare
     seen: Count = 3  # least number of photographs that must show a place
-    noise: Positive = 0.02  # sRGB 0..1; colour deviation of noise
-    most: Positive = 0.15  # sRGB 0..1; limit of all deviations
-    neighbours: Count = 24  # neighbouring directions
-    step: Positive = 2.0  # levels off the neighbours' mean that cost as much as a deviation of noise
-    rounds: WholeNumber = 40  # of iterated conditional modes
+    noise: Positive = 0.02  # sRGB 0..1; standard deviation of colours that is mere noise
+    most: Positive = 0.15  # sRGB 0..1; upper limit of a standard deviation of colours
+    neighbours: Count = 24  # number of neighbouring directions
+    step: Positive = 2.0  # difference, in levels, from the neighbours' mean that costs as much as a deviation of noise
+    rounds: WholeNumber = 40  # rounds of iterated conditional modes
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -106,8 +107,8 @@ class BackgroundPointOptions(Options):
 class ViewColorOptions(Options):
     """The colours in which views show points."""
 
-    min_cosine: Share = 0.2  # least cosine between normal and view direction: at a grazing angle, a pixel mixes the
-    # colours of neighbours
+    min_cosine: Share = 0.2  # least cosine between normal and view direction, because a pixel at a grazing angle mixes
+    # the colours of neighbours
     depth_side: Count = 96  # pixels; side of the depth maps for occlusion, coarse enough that the points leave no gaps
 
 
@@ -116,16 +117,17 @@ class PointExposureOptions(Options):
     """The estimation of exposures from points that several photographs show, by reweighted least squares."""
 
     points: Count = 16000  # most points to use; they also occlude each other, and fewer leave gaps
-    behind: NotNegative = 0.05  # scene units behind others beyond which a point is hidden
-    cells: Positive = 0.5  # side of the occlusion depth map, times the square root of the number of points
+    behind: NotNegative = 0.05  # scene units; a point that lies farther behind others is hidden
+    cells: Positive = 0.5  # side of the occlusion depth map, divided by the square root of the number of points
     min_cosine: Share = 0.2  # least cosine between normal and view direction
-    dark: Annotated[int, Range(1, 255)] = 8  # of 255; darker pixels are not used
-    clipped: Annotated[int, Range(1, 256)] = 250  # of 255; pixels from this value on are not used; must exceed dark
-    max_observations: Count = 4_000_000  # in the fit
+    dark: Annotated[int, Range(1, 255)] = 8  # least pixel value that is used, of 255
+    clipped: Annotated[int, Range(1, 256)] = 250  # least pixel value that counts as clipped and is not used, of 255;
+    # must exceed dark
+    max_observations: Count = 4_000_000  # most observations in the fit
     shared: Count = 3  # least number of photographs that show a point
-    min_points: Count = 50  # in a photograph
-    rounds: Count = 15  # of reweighting
-    prior_weight: Positive = 1e-3  # of the common exposure, as a share of a photograph's observations
+    min_points: Count = 50  # least number of points that each photograph must show
+    rounds: Count = 15  # rounds of reweighting
+    prior_weight: Positive = 1e-3  # weight of the common exposure, as a share of a photograph's observations
     outlier: Positive = 0.5  # deviations of the residual at which an observation counts half
 
     def __post_init__(self) -> None:

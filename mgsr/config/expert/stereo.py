@@ -22,20 +22,20 @@ class MatchSettings(Options):
     reach: Positive = 4.0  # pixels from the centre at which a sample weighs 0.6
     best: Annotated[int, Range(1, 8)] = 3  # best neighbours, whose mean correlation is the score
     cover: Share = 0.6  # least share of a patch that must show the object in a neighbour
-    prior: NotNegative = 0.1  # loss in score of a depth that is prior_reach off the start
-    prior_reach: Positive = 3.5  # pixels
-    search: Positive = 7.0  # pixels; variation of depths in the first round
-    rounds: WholeNumber = 3  # of the search
+    prior: NotNegative = 0.1  # loss in score of a depth that lies prior_reach pixels off the starting surface
+    prior_reach: Positive = 3.5  # pixels; distance from the starting surface at which a depth loses the score `prior`
+    search: Positive = 7.0  # pixels; random variation of depths in the first round
+    rounds: WholeNumber = 3  # rounds of the search
 
 
 @dataclass(frozen=True)
 class PatchMatchOptions(Options):
     """The choice of neighbours and depths that a photograph is matched with."""
 
-    neighbours: Count = 8  # views to match each view with
+    neighbours: Count = 8  # number of views that each view is matched with
     best_angle: Angle = 20.0  # degrees to the best neighbour, as seen from the scene's centre
     max_angle: Angle = 60.0  # degrees; views at a larger angle are no neighbours
-    half_depth: Positive = 1.1  # scene units before and behind the scene's centre that are searched
+    half_depth: Positive = 1.1  # scene units; half the depth around the scene's centre that is searched
     settings: MatchSettings = field(default_factory=MatchSettings)
 
 
@@ -43,7 +43,7 @@ class PatchMatchOptions(Options):
 class ConsistencyOptions(Options):
     """The geometric consistency of depth maps, which gives their weights. Source: Schönberger and others 2016."""
 
-    views: Count = 12  # nearest views that may confirm a depth
+    views: Count = 12  # number of nearest views that may confirm a depth
     max_angle: Angle = 60.0  # degrees; views at a larger angle confirm nothing
     min_confirming: WholeNumber = 2  # least number of views that must confirm a depth
     same_depth: Positive = 2.0  # pixels; largest difference of depths that confirm each other
@@ -64,31 +64,36 @@ class FusionOptions(Options):
 
     resolution: Count = 192  # most voxels along the hull's longest side
     finest: Positive = 0.7  # pixels; least size of a voxel
-    coarser: Count = 2  # fine voxels along a voxel of the first, coarse fusion; the fine one keeps to a band around it
-    band: Share = 0.9  # times reach; half the width of that band
+    coarser: Count = 2  # edge length of a voxel in the first, coarse fusion, in fine voxels; the fine fusion keeps to a
+    # band around the coarse surface
+    band: Share = 0.9  # half the width of that band, in multiples of reach
     reach: Positive = 3.0  # pixels; truncation of the signed distances
-    bins: Count = 12  # of the histogram, from -reach to reach
-    hull_weight: NotNegative = 0.5  # of the hull's vote near its surface; photographs: 0..1
+    bins: Count = 12  # number of bins of the histogram, from -reach to reach
+    hull_weight: NotNegative = 0.5  # weight of the hull's vote near its surface; a photograph's vote weighs 0 to 1
     hull_floor: NotNegative = 0.02  # weight of the hull's vote deep inside
-    thin: Positive = 2.0  # times reach; where the hull is thinner, its vote weighs more
-    thinnest: Annotated[float, Range(0, 1, open=True)] = 0.2  # times thin; thickness below which it weighs no more
-    fading: Positive = 2.0  # times reach; depth over which the hull's vote falls to 1/e
-    solid_weight: NotNegative = 0.05  # of a photograph's vote for solid space more than reach behind its surface
-    solid_depth: Annotated[float, Range(1)] = 5.0  # times reach; depth behind the surface at which these votes end
+    thin: Positive = 2.0  # thickness of the hull, in multiples of reach, below which its vote weighs more
+    thinnest: Annotated[float, Range(0, 1, open=True)] = 0.2  # share of `thin`; in still thinner places the weight of
+    # the hull's vote stays constant
+    fading: Positive = 2.0  # depth inside the hull, in multiples of reach, over which its vote falls to 1/e
+    solid_weight: NotNegative = 0.05  # share of its weight with which a photograph votes for solid space more than
+    # reach behind its surface
+    solid_depth: Annotated[float, Range(1)] = 5.0  # depth behind the surface, in multiples of reach, at which these
+    # votes end
     pooled: NotNegative = 1.0  # voxels; standard deviation of the Gaussian that pools the votes
-    variation: Positive = 0.14  # times reach; weight of the total variation against votes of weight 1
-    rounds: Count = 120  # iterations of the optimiser from the votes' median
-    fine_rounds: Count = 40  # iterations of the optimiser from the coarse fusion
+    variation: Positive = 0.14  # weight of the total variation against votes of weight 1, in multiples of reach
+    rounds: Count = 120  # iterations of the optimiser when it starts from the votes' median
+    fine_rounds: Count = 40  # iterations of the optimiser when it starts from the coarse fusion
     smoothed: NotNegative = 0.5  # voxels; standard deviation of the Gaussian that smooths the final distances
-    outside: NotNegative = 1.0  # voxels outside its place at which the surface is extracted
-    min_piece: Share = 0.02  # least area of a piece, as a share of the whole; smaller ones are noise
+    outside: NotNegative = 1.0  # voxels; distance outside its place at which the surface is extracted
+    min_piece: Share = 0.02  # least area of a piece, as a share of the whole; smaller pieces are noise
 
 
 @dataclass(frozen=True)
 class StereoConfig(Options):
     """Stereo inside the masks."""
 
-    max_object_pixels: Count = 1_200_000  # of all photographs together; larger photographs are reduced
+    max_object_pixels: Count = 1_200_000  # most pixels of the object in all photographs together; larger photographs
+    # are reduced
     match: PatchMatchOptions = field(default_factory=PatchMatchOptions)
     consistency: ConsistencyOptions = field(default_factory=ConsistencyOptions)
     fusion: FusionOptions = field(default_factory=FusionOptions)

@@ -15,8 +15,10 @@ class ErrorGrowthOptions(Options):
     """Error-driven growth of the 3D branch. Source: Baranowski and others 2025 (ConeGS)."""
 
     solid: Share = 0.3  # alpha from which a rendered depth counts as a surface
-    hidden: Positive = 3.0  # pixel sizes that a point may lie off the rendered surface of a view that sees it
-    half_window: WholeNumber = 1  # pixels on each side of a pixel that it is averaged with, against sensor noise
+    hidden: Positive = 3.0  # distance, in sizes of a pixel, that a point may lie off the rendered surface of a view
+    # that sees it
+    half_window: WholeNumber = 1  # pixels on each side of a pixel over which the error is averaged, against sensor
+    # noise
 
     @property
     def window(self) -> int:
@@ -37,21 +39,22 @@ class ProxyModelOptions(Options):
     """A small 3D branch that is trained on small photographs before the real training to learn from it."""
 
     side: Annotated[int, Range(8)] = 128  # pixels; longer side of the photographs
-    points: Count = 4000  # Gaussians
-    rates: Share = 0.2  # position between a warm-up's first and last learning rates, constant
+    points: Count = 4000  # number of Gaussians
+    rates: Share = 0.2  # position of the constant learning rates between a warm-up's first and last ones; 0 is the
+    # first
 
 
 @dataclass(frozen=True)
 class LearnedMaskOptions(Options):
     """Masks of photographs before a plain backdrop, learned by two proxy models."""
 
-    degree: Degree = 2  # of the colours' harmonics
-    rough_iterations: Count = 800  # of the first branch
-    iterations: Count = 1600  # of the second branch
+    degree: Degree = 2  # degree of the colours' harmonics
+    rough_iterations: Count = 800  # iterations of the first branch
+    iterations: Count = 1600  # iterations of the second branch
     rough_side: Annotated[int, Range(8)] = 64  # pixels; longer side of the first branch's photographs
-    opacity_cost: NotNegative = 0.4  # of the first branch; half of it leaves fog around shiny objects, twice as much
-    # erodes thin parts
-    voxels: Annotated[int, Range(8)] = 64  # along a side of the rough hull's grid
+    opacity_cost: NotNegative = 0.4  # weight of the first branch's loss on opacity; half of it leaves fog around shiny
+    # objects, and twice as much erodes thin parts
+    voxels: Annotated[int, Range(8)] = 64  # voxels along a side of the rough hull's grid
     proxy: ProxyModelOptions = field(default_factory=ProxyModelOptions)
 
 

@@ -18,7 +18,7 @@ from mgsr.mesh.views import SurfaceView
 from mgsr.shading.light_estimate import LightEstimate
 from mgsr.shading.photo_set import PhotoSet
 
-SHOWN = 0.6  # the object's extent, as a share of an image's side
+SHOWN = 0.6  # the assumed extent of the object in a photograph, as a share of the image's side
 
 Outcome = Mapping[str, float | bool | str]
 
@@ -27,10 +27,13 @@ Outcome = Mapping[str, float | bool | str]
 class StepContext:
     """The input that all steps of one extraction share.
 
-    views: the rendered surface. photos: the training photographs with their silhouettes, both possibly empty.
-    footprint: the median size of a rendered pixel on the surface, in the scene's unit. hull: the visual hull that
-    bounds the mesh, None without one. go_on: returns whether there is time for another round of refinement. ground [4]:
-    the plane on which a found object stands, None if it is unknown (see `Scene.ground`). options: of the extraction.
+    views: the rendered surface.
+    photos: the training photographs with their silhouettes, both possibly empty.
+    footprint: the median size of a rendered pixel on the surface, in the scene's unit.
+    hull: the visual hull that bounds the mesh, None without one.
+    go_on: returns whether there is time for another round of refinement.
+    ground [4]: the plane on which a found object stands, None if it is unknown (see `Scene.ground`).
+    options: the options of the extraction.
     """
 
     views: Sequence[SurfaceView]
@@ -72,7 +75,7 @@ class MeshStep(ABC):
     A step is a frozen dataclass; its fields are its options. name: its key in the report.
     """
 
-    refines = False  # whether it refines the mesh by the photographs, which a time budget may skip
+    refines = False  # True for refinement by the photographs, which a time budget may skip
 
     @property
     @abstractmethod

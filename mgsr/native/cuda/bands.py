@@ -1,7 +1,8 @@
-"""An image whose pairs of splats and tiles are too many for the card's memory is worked in bands of rows of tiles.
+"""The division of an image into bands of tile rows, for images with more pairs than the card's memory holds.
 
-A band's pixels and pair gradients don't depend on the others, so that bands change no pixel. Their size is a guess from
-the memory that is free, and where it was too large, the band is worked again in halves.
+A pair is a splat and a tile that it touches. Pixels and gradients of a band do not depend on other bands, so bands
+change no result. The size of a band is estimated from the free memory. If it was too large, the band is computed again
+in halves.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from mgsr.native.cuda.launcher import Launcher
 from mgsr.native.cuda.params import addresses
 from mgsr.native.cuda.tiles import THREADS, Band, Blended, CountParams, Projected, TileRows
 
-MAX_PAIRS = 2**31 - 1  # their numbers are of 32 bits
-PAIR_BYTES = 450  # of a pair's lists, gradient and share of the pixels' states, at most
-FEW = 16  # pairs that need less than this part of the memory are tried without asking what is free
+MAX_PAIRS = 2**31 - 1  # pairs have 32-bit numbers
+PAIR_BYTES = 450  # upper bound for a pair's lists, its gradient and its share of the pixels' states
+FEW = 16  # the free memory is not queried if the pairs need less than 1/FEW of the card's memory
 CURE = "use fewer or smaller splats, a smaller image or a card with more memory"
 
 Result = TypeVar("Result")
@@ -29,13 +30,13 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class _OutOfMemory:
-    """What torch says of lacking memory, without the traceback, which would keep the failed band's tensors."""
+    """The message of torch's error, without its traceback, which would keep the failed band's tensors."""
 
     reason: str
 
 
 def most_pairs(device: torch.device, wanted: int) -> int:
-    """Return how many pairs a band may have, of an image that has `wanted` of them.
+    """Return the most pairs that a band may have; wanted: the number of pairs of the whole image.
 
     They fill half of the device's free memory; the other half is for the steps after a rendering. Memory that torch's
     allocator caches counts as free. The driver is asked only for an image with many pairs.
@@ -48,10 +49,10 @@ def most_pairs(device: torch.device, wanted: int) -> int:
 
 
 def cut_into_bands(launcher: Launcher, projected: Projected) -> list[Band]:
-    """Cut the image into bands of `most_pairs` at most, or of one row of tiles, in their order.
+    """Cut the image into bands with at most `most_pairs` pairs each, or of one row of tiles, in their order.
 
-    There is one, unless there are too many pairs for that. Then rows are halved until they fit, and for each part its
-    count is waited for. Raises GpuError where a single row of tiles has more than MAX_PAIRS.
+    An image with few pairs is one band. Otherwise bands are halved until they fit; the host waits for each half's
+    count. Raises GpuError if a single row of tiles has more than MAX_PAIRS pairs.
     """
     most = most_pairs(projected.records.device, projected.whole.pairs)
     return list(_cut(launcher, projected, projected.whole, most))
@@ -60,10 +61,10 @@ def cut_into_bands(launcher: Launcher, projected: Projected) -> list[Band]:
 def work_bands(
     launcher: Launcher, projected: Projected, bands: list[Band], work: Callable[[Band], Result]
 ) -> Iterator[tuple[Band, Result]]:
-    """Yield the bands with what `work` makes of them, in their order, one at a time.
+    """Yield each band with the result of `work`, in their order, one at a time.
 
-    A band that the memory does not hold is worked again from the start, in halves. Raises GpuError where the memory
-    does not hold a single row of tiles.
+    If the memory cannot hold a band, `work` runs again on its halves. Raises GpuError if the memory cannot hold a
+    single row of tiles.
     """
     waiting = bands[::-1]
     while waiting:
@@ -81,8 +82,8 @@ def blend_bands(
 ) -> tuple[list[Band], Blended | None]:
     """Blend an image in as few bands as memory allows, and return the bands.
 
-    With `keep`, the blended band is returned too, where one was enough. blend: of a band, into the images, with the
-    pixels' states or without. Raises GpuError as `work_bands`.
+    With `keep`, the blended band is returned too, if the image is one band. blend: blends a band into the images, and
+    keeps the pixels' states if its second argument is True. Raises the GpuError of `work_bands`.
     """
 
     def blend_whole_or_part(band: Band) -> Blended | None:
@@ -95,9 +96,9 @@ def blend_bands(
 
 
 def add_bands(launcher: Launcher, projected: Projected, bands: list[Band], work: Callable[[Band], Tensor]) -> Tensor:
-    """Return the sum [N,16] of what `work` makes of each band, in their order.
+    """Return the sum [N,16] of the results of `work` for all bands, added in their order.
 
-    Raises GpuError as `work_bands`.
+    Raises the GpuError of `work_bands`.
     """
     parts = work_bands(launcher, projected, bands, work)
     _, total = next(parts)

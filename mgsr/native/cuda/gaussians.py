@@ -91,10 +91,10 @@ class GaussianGradientParams(ctypes.Structure):
 
 @dataclass
 class GaussianForwardState:
-    """What backward needs kept from forward.
+    """The results of forward that backward needs.
 
-    blended: of the one band that most images are, until backward takes it; bands of an image too large for that are
-    blended again in backward, one after the other.
+    blended: the blended band, if the image is one band; None once backward has taken it. Backward blends the bands of
+    larger images again, one after the other.
     """
 
     projected: Projected
@@ -121,7 +121,7 @@ class GaussianKernels:
     def forward(
         self, splats: GaussianSplats, view: GaussianView, images: GaussianImages, radii: Tensor
     ) -> GaussianForwardState:
-        """Render into the images and radii [N], and return what `backward` takes.
+        """Render into the images and radii [N], and return the state for `backward`.
 
         Raises GpuError where the card's memory is too small.
         """

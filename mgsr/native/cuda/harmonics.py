@@ -37,7 +37,7 @@ class HarmonicsKernels:
         self._run("forward", splats, (rgb, None, None, None))
 
     def backward(self, splats: Harmonics, rgb: Tensor, v_rgb: Tensor, v_coeffs: Tensor, v_means: Tensor | None) -> None:
-        """Write v_coeffs [N,K,3] and, where it is given, add to v_means [N,3]."""
+        """Write v_coeffs [N,K,3] and, if it is given, add to v_means [N,3]; rgb, v_rgb [N,3]: colours and gradient."""
         self._run("backward", splats, (rgb, v_rgb, v_coeffs, v_means))
 
     def _run(self, direction: str, splats: Harmonics, arrays: tuple[Tensor | None, ...]) -> None:

@@ -72,7 +72,10 @@ class ImageKernels:
     def image_loss(
         self, pair: ImagePair, v_image: Tensor | None, v_target: Tensor | None, mask_sum: float | None
     ) -> Sums:
-        """Return the mean loss of two images [H,W,3], and write the gradients [H,W,3] of its sum inside the region."""
+        """Return the mean loss of two images [H,W,3].
+
+        Writes the gradients v_image and v_target [H,W,3] of the loss's sum inside the region; None: not needed.
+        """
         image, target, mask, l1_weight, clip, region = pair
         height, width = image.shape[:2]
         maps = _grown(region, height, width)
@@ -95,7 +98,11 @@ class ImageKernels:
         return Sums(sums, 3.0, divisor=mask.sum())
 
     def tv(self, values: Tensor, guide: Tensor, mask: Tensor | None, v_values: Tensor | None) -> Sums:
-        """Return the mean variation of values [H,W,C] over pairs and channels, and write its gradient [H,W,C]."""
+        """Return the mean variation of values [H,W,C] over pairs and channels.
+
+        guide [H,W,3], mask [H,W]: as in `edge_aware_tv_term`. Writes the gradient v_values [H,W,C] of the sum; None:
+        not needed.
+        """
         height, width, channels = values.shape
         blocks = -(-height * width // PIXEL_THREADS)
         sums = values.new_empty(blocks, 2, dtype=torch.float64)
@@ -107,9 +114,9 @@ class ImageKernels:
     def normal_agreement(
         self, surface: DepthSurface, covered: Tensor, normals: Tensor, from_depth: Tensor, v_depth: Tensor | None
     ) -> Sums:
-        """Return the mean of 1 - n . n_depth over the covered pixels, covered [H,W].
+        """Return the mean of 1 - n . n_depth over the covered pixels; normals [H,W,3]: n; covered [H,W]: 0 or 1.
 
-        Writes from_depth [H,W,3], and v_depth [H,W]: the gradients, each times -1, of its sum.
+        Writes from_depth [H,W,3] and v_depth [H,W]: the gradients of the sum by n and by the depth, each times -1.
         """
         depth = surface.depth
         blocks = -(-depth.numel() // PIXEL_THREADS)
@@ -124,7 +131,7 @@ class ImageKernels:
         self._normals("image_depth_normals", surface, (normals, None, None))
 
     def depth_normals_vjp(self, surface: DepthSurface, v_normals: Tensor, v_depth: Tensor) -> None:
-        """Write the depth's gradient [H,W]."""
+        """Write the depth's gradient v_depth [H,W], given v_normals [H,W,3]."""
         self._normals("image_depth_normals_vjp", surface, (None, v_normals, v_depth))
 
     def _normals(self, kernel: str, surface: DepthSurface, arrays: tuple[Tensor | None, ...]) -> None:

@@ -68,7 +68,7 @@ def use_launcher(launcher: Launcher) -> Iterator[None]:
 
 @cache
 def cuda_launcher(device: int) -> CudaLauncher:
-    """Return the launcher of a card, made once a process: it holds the card's loaded kernels."""
+    """Return the launcher of a card, which holds the card's loaded kernels; each process makes it once."""
     return CudaLauncher(device)
 
 

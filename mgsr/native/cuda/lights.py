@@ -60,7 +60,10 @@ class LightKernels:
         color: Tensor,
         reflected: Tensor,
     ) -> None:
-        """Write color and reflected [H,W,3]."""
+        """Write color and reflected [H,W,3] (see `with_reflection`).
+
+        transmitted, own, environment [H,W,3]; weight [H,W].
+        """
         arrays = (transmitted, weight, own, environment, color, reflected)
         self._run("lights_reflection", weight, ReflectionParams(weight.numel(), *addresses(*arrays)))
 
@@ -72,9 +75,10 @@ class LightKernels:
         before: tuple[Tensor | None, ...],
         out: tuple[Tensor, ...],
     ) -> None:
-        """Write the gradients of transmitted, own and environment [H,W,3] and of weight [H,W].
+        """Write the gradients of transmitted, own and environment [H,W,3] and of weight [H,W] to `out`.
 
-        before: gradients that are added to those of transmitted, weight and own.
+        v_color, reflected [H,W,3]; weight [H,W]. before: gradients that are added to those of transmitted, weight and
+        own.
         """
         arrays = addresses(v_color, reflected, weight, *before, *out)
         self._run("lights_reflection_vjp", weight, ReflectionVjpParams(weight.numel(), *arrays))
@@ -82,7 +86,7 @@ class LightKernels:
     def light_up(
         self, unlit: Tensor, alpha: Tensor, background: Tensor, shading: Tensor, offset: float, image: Tensor
     ) -> None:
-        """Write the shaded image [H,W,3]."""
+        """Write the shaded image [H,W,3] of unlit [H,W,3], alpha [H,W], background [3] and shading [H,W]."""
         arrays = addresses(unlit, alpha, background, shading)
         self._run("lights_light_up", shading, LightUpParams(shading.numel(), *arrays, offset, pointer(image)))
 
@@ -95,7 +99,11 @@ class LightKernels:
         add_alpha: Tensor | None,
         out: UnlitGradients,
     ) -> None:
-        """Write the gradients of the unlit image, with add_alpha [H,W] added to that of alpha."""
+        """Write the gradients of the unlit image and of alpha to `out`.
+
+        v_image [H,W,3]: the gradient of the shaded image. background [3]; shading [H,W]. add_alpha [H,W]: is added to
+        the gradient of alpha.
+        """
         arrays = addresses(v_image, background, shading)
         written = addresses(add_alpha, out.v_unlit, out.v_alpha)
         self._run("lights_light_up_vjp", shading, LightUpVjpParams(shading.numel(), *arrays, offset, *written))

@@ -93,10 +93,10 @@ class SurfelGradientParams(ctypes.Structure):
 
 @dataclass
 class SurfelForwardState:
-    """What backward needs kept from forward.
+    """The results of forward that backward needs.
 
-    blended: of the one band that most images are, until backward takes it; bands of an image too large for that are
-    blended again in backward, one after the other.
+    blended: the blended band, if the image is one band; None once backward has taken it. Backward blends the bands of
+    larger images again, one after the other.
     """
 
     projected: Projected

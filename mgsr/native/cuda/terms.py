@@ -96,7 +96,7 @@ class GradientsParams(ctypes.Structure):
 
 @dataclass(slots=True)
 class Sums:
-    """What a term's kernel left on the card.
+    """The partial sums of a term that its kernel left on the card.
 
     The term is the blocks' total over `factor`, over what they counted where `counted`, and over `divisor` [] float32,
     where that is given; 0 where this is 0. partial [blocks,2] float64.
@@ -139,7 +139,7 @@ class TermKernels:
         self._run("terms_target", pixels, TargetParams(pixels, *addresses(*arrays)))
 
     def covered(self, alpha: Tensor, mask: Tensor | None, covered: Tensor) -> None:
-        """Write covered [H,W]."""
+        """Write covered [H,W], given alpha [H,W] and mask [H,W] or None (see `mgsr.ops.pixels.covered`)."""
         params = CoveredParams(alpha.numel(), pointer(alpha), pointer(mask), pointer(covered))
         self._run("terms_covered", alpha.numel(), params)
 
@@ -148,7 +148,8 @@ class TermKernels:
     ) -> Sums:
         """Return the mean over all pixels of the difference of alpha [H,W] from a mask [H,W].
 
-        entropy: of the cross entropy instead.
+        weights [H,W]: multiply both; None: 1. entropy: compute the cross entropy instead. Writes the gradient v_alpha
+        [H,W] of the sum; None: not needed.
         """
         count, partial = alpha.numel(), _partial(alpha)
         inputs = (pointer(alpha), pointer(mask), pointer(weights), entropy)
@@ -168,14 +169,17 @@ class TermKernels:
         return Sums(partial, by, divisor=divisor)
 
     def product(self, weight: Tensor, color: Tensor, v_weight: Tensor) -> Sums:
-        """Return the mean of weight [H,W] times color [H,W,3]."""
+        """Return the mean of weight [H,W] times color [H,W,3]; write the gradient v_weight [H,W] of the sum."""
         count, partial = weight.numel(), _partial(weight)
         arrays = (weight, color, v_weight, partial)
         self._run("terms_product", count, ProductParams(count, *addresses(*arrays)))
         return Sums(partial, 3.0 * count)
 
     def steps(self, maps: Tensor, by: float, v_maps: Tensor | None) -> Sums:
-        """Return the sum of the squared steps between neighbours in maps [M,S,S,C], over `by`."""
+        """Return the sum of the squared steps between neighbours in maps [M,S,S,C], over `by`.
+
+        Writes the gradient v_maps [M,S,S,C] of the sum; None: not needed.
+        """
         partial = _partial(maps)
         sizes = (maps.shape[0], maps.shape[1], maps.shape[3])
         params = StepsParams(*sizes, pointer(maps), pointer(v_maps), pointer(partial))
@@ -183,7 +187,7 @@ class TermKernels:
         return Sums(partial, by)
 
     def totals(self, terms: Sequence[tuple[Sums, float]]) -> tuple[Tensor, Tensor]:
-        """Return the terms' values [T], times their weights, and what their slopes must be multiplied by [T]."""
+        """Return the terms' weighted values [T], and the factors [T] that convert their slopes to gradients."""
         values, scales = terms[0][0].partial.new_empty(2, len(terms), dtype=torch.float32).unbind()
         first_value, first_scale = values.data_ptr(), scales.data_ptr()
         for begin in range(0, len(terms), MOST_TERMS):
@@ -196,7 +200,7 @@ class TermKernels:
         return values, scales
 
     def gradients(self, images: Sequence[Image], v_values: Tensor, scales: Tensor) -> list[Tensor]:
-        """Return each image's gradient, from those of the terms' values [T]."""
+        """Return each image's gradient; v_values [T]: the gradients of the terms' values; scales [T]: from `totals`."""
         split = [(index, some) for index, image in enumerate(images) for some in _at_most(MOST_PARTS, image)]
         outs = [scales.new_empty(image.shape) for _, image in split]
         for begin in range(0, len(split), MOST_IMAGES):

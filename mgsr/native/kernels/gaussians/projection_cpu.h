@@ -37,7 +37,7 @@ struct Opacities {
   Opacities(const GaussianInputs& in, int64_t i, float compensation)
       : main(in.opacities[i] * compensation), refl(in.refl_opacities ? in.refl_opacities[i] * compensation : 0.0f) {}
   float strongest() const { return std::max(main, refl); }
-  // In this form also false for a NaN.
+  // Written so that a NaN also gives false.
   bool visible() const { return strongest() >= kMinAlpha && strongest() <= 1e6f && main >= 0 && refl >= 0; }
 };
 

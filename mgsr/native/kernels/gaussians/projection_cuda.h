@@ -119,7 +119,7 @@ __device__ inline bool project_gaussian_splat(const GaussianSplats& in, int64_t 
   return sight == Sight::kSeen;
 }
 
-// The gradients that need no projection; returns that of the compensation, 0 where there is none.
+// Adds the gradients that need no projection; returns the gradient of the compensation, 0 without compensation.
 __device__ inline float light_gradients(const GaussianGradientParams& p, int64_t i, const float* total) {
   const GaussianSplats& in = p.in;
   // The exponent's and the opacity's gradients differ by the factor o; alpha = (o * compensation) * G.

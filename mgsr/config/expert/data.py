@@ -44,7 +44,7 @@ class MaskUseOptions(Options):
     ignored: Share = 0.04  # agreement in space below which black is ignored; black rectangles at random places have at
     # most 0.04, and masks of objects that the image cuts off have 0.09 to 0.23
     silhouettes: Share = 0.06  # agreement in space above which masks are silhouettes
-    inverted: Share = 0.1  # agreement in space above which masks count as inverted silhouettes, which have 0.11 to 0.19
+    inverted: Share = 0.1  # agreement in space above which inverted silhouettes are looked for; they have 0.11 to 0.19
     same_pixels: Share = 0.6  # agreement in the image above which masks hide a strip of the image or the camera's own
     # stand
     strip_border: Share = 0.6  # share of white border pixels from which such a strip is looked for

@@ -42,9 +42,9 @@ def normalisation(
 def focus(
     origins: np.ndarray, directions: np.ndarray, options: NormalisationOptions = NormalisationOptions()
 ) -> np.ndarray | None:
-    """Return the point [3] nearest to rays [V,3], by least squares, without the rays that miss it by far.
+    """Return the point [3] nearest to rays, by least squares, without the rays that miss it by far.
 
-    None if the rays are nearly parallel, or if the point lies behind too many of the cameras.
+    origins, directions [V,3]: of the rays; the directions are unit. Returns None if the rays are nearly parallel, or if the point lies behind too many of the cameras.
     """
     keep = np.ones(len(origins), dtype=bool)
     for _ in range(4):

@@ -31,7 +31,9 @@ class Target:
     invalid: Tensor | None = None
 
     def compared(self, rendered: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
-        """Return a rendering [H,W,...] and its target with the same values at invalid pixels, for a loss.
+        """Return a rendering and its target with the same values at invalid pixels, for a loss.
+
+        rendered, target [H,W,...]: images of the same size.
 
         At invalid pixels both have the rendering's value without a gradient. Such pixels therefore add nothing to a
         loss, also in windows that contain some of them.

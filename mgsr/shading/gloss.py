@@ -178,7 +178,7 @@ class _Fit:
         return fitted
 
     def deviation(self, values: np.ndarray, roughness: float, light: np.ndarray) -> float:
-        """Return the root mean square residual of values [Q] under a light, in the held-out photographs.
+        """Return the root mean square residual of values [Q] under a light [2*height^2], in the held-out photographs.
 
         The matte part of each point is that of the training photographs. Residuals are clipped at `outlier`, because
         the model has no second reflections.

@@ -99,13 +99,13 @@ def seen_frontal(
 
 
 def sample_image(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Sample an image [H,W] bilinearly at pixel coordinates [P,2] (centres at +0.5), clamped at the border."""
+    """Sample an image [H,W] bilinearly at `pixels` [P,2], whose centres lie at +0.5, clamped at the border."""
     values: np.ndarray = map_coordinates(image, [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5], order=1, mode="nearest")
     return values
 
 
 def lie_within(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Return which pixel coordinates [P,2] have only neighbours inside a mask [H,W] bool, as [P] bool."""
+    """Return which of the `pixels` [P,2] have only neighbours inside a mask [H,W] bool, as [P] bool."""
     return sample_image(mask.astype(np.float32), pixels) > 0.99
 
 

@@ -44,7 +44,8 @@ def focus(
 ) -> np.ndarray | None:
     """Return the point [3] nearest to rays, by least squares, without the rays that miss it by far.
 
-    origins, directions [V,3]: of the rays; the directions are unit. Returns None if the rays are nearly parallel, or if the point lies behind too many of the cameras.
+    origins, directions [V,3]: of the rays; the directions are unit. Returns None if the rays are nearly parallel, or
+    if the point lies behind too many of the cameras.
     """
     keep = np.ones(len(origins), dtype=bool)
     for _ in range(4):

@@ -1,7 +1,7 @@
-"""Archives in the store: one object each, or a folder of parts, as a resumable upload leaves it.
+"""Archives in the store: each is one object, or the folder of parts that a resumable upload leaves.
 
-uploads/<job>.<upload>                     an archive that came in one request
-uploads/<job>.<upload>/<begin>.<random>    a part of one that came in several; begin: the place of its first byte
+uploads/<job>.<upload>                     an archive uploaded in one request
+uploads/<job>.<upload>/<begin>.<random>    a part of a resumable upload; begin: the offset of its first byte
 """
 
 from __future__ import annotations

@@ -1,17 +1,17 @@
-"""Jobs as they lie in the store. The store is the truth: everything here survives the loss of Redis and of workers.
+"""Jobs in the store. The store is authoritative: everything here survives the loss of Redis and of workers.
 
-jobs/<id>/job.json                  what was asked for
-jobs/<id>/rounds/<r>                that round r was asked for (0, the submit, needs no mark; then the retries)
-jobs/<id>/pinned                    that the job stays, however long ago it ended
-jobs/<id>/cancels/<r>               that someone wants round r to stop
-jobs/<id>/outcomes/<r>.json         how round r ended; the first to write it wins
-jobs/<id>/attempts/<n>/start.json   a worker took up a round; beside it what it has made
-jobs/<id>/attempts/0/...            of a rerun: what it takes over from the earlier job's results
-jobs/<id>/attempts/<n>/end          that this attempt ended in good order, if without an outcome
+jobs/<id>/job.json                  the request
+jobs/<id>/rounds/<r>                mark: round r was requested (round 0, the submit, has no mark; others are retries)
+jobs/<id>/pinned                    mark: the job is never deleted by age
+jobs/<id>/cancels/<r>               mark: round r should stop
+jobs/<id>/outcomes/<r>.json         the outcome of round r; only the first write counts
+jobs/<id>/attempts/<n>/start.json   the start of attempt n by a worker; the attempt's results lie beside it
+jobs/<id>/attempts/0/...            for a rerun: the results that it takes from the earlier job
+jobs/<id>/attempts/<n>/end          mark: attempt n ended regularly, even without an outcome
 
-open/<id>.<r>                       that round r may have no outcome yet
-webhooks/<id>.<r>                   that the owner is still to be told of the outcome of round r
-owners/<owner>/<time>.<id>          each owner's jobs; the time runs backwards, so the newest sort first
+open/<id>.<r>                       mark: round r may have no outcome yet
+webhooks/<id>.<r>                   mark: the owner must still be notified of the outcome of round r
+owners/<owner>/<time>.<id>          each owner's jobs; the time is negated, so that the newest sort first
 uploads/<id>.<upload>               archives (archives.py)
 """
 

@@ -37,7 +37,7 @@ TAKEN_OVER = 0  # the attempt under which they lie
 
 @dataclass(frozen=True)
 class JobState:
-    """A job and where it stands as far as the store knows: status is None while only the queue can tell."""
+    """A job and its state according to the store. status is None while only the queue knows it."""
 
     record: JobRecord
     round: int
@@ -53,8 +53,8 @@ class Jobs:
         self.store, self.archives = store, Archives(store)
 
     def create(self, record: JobRecord) -> JobRecord:
-        """File a new job; return the job on file, which is the earlier one if the id exists."""
-        # Before the record: should this process die in between, recovery finds the job by this mark.
+        """File a new job; return the filed job, which is the earlier one if the id exists."""
+        # The mark is written before the record. If this process dies in between, recovery finds the job by the mark.
         self.mark_open(record.id, 0)
         if not self.store.create(_path(record.id, "job.json"), record.to_bytes()):
             existing = self.record(record.id)
@@ -64,7 +64,7 @@ class Jobs:
         return record
 
     def record(self, job: str) -> JobRecord | None:
-        """Return what was asked for, or None for an unknown id."""
+        """Return the job's record, or None for an unknown id."""
         data = self.store.read(_path(job, "job.json"))
         return None if data is None else JobRecord.model_validate_json(data)
 
@@ -79,30 +79,30 @@ class Jobs:
         return JobState(record, last, outcome, cancelling, self.store.read(_path(job, "pinned")) is not None)
 
     def last_round(self, job: str) -> int:
-        """Return the number of the last round that was asked for."""
+        """Return the number of the last requested round."""
         return max((int(name) for name in self.store.names(_path(job, "rounds"))), default=0)
 
     def outcome(self, job: str, number: int) -> Outcome | None:
-        """Return how a round ended, or None while it has not."""
+        """Return the outcome of a round, or None while it has not ended."""
         data = self.store.read(_path(job, f"outcomes/{number}.json"))
         return None if data is None else Outcome.model_validate_json(data)
 
     def finish(self, job: str, number: int, outcome: Outcome) -> bool:
-        """End a round and return True; return False, and do nothing, where it has ended already."""
+        """End a round and return True; if it has already ended, do nothing and return False."""
         record = self.record(job)
         if record is not None and record.options.webhook is not None:
-            self.store.replace(f"webhooks/{job}.{number}", b"")  # before the outcome, so that no death between loses it
+            self.store.replace(f"webhooks/{job}.{number}", b"")  # before the outcome: dying in between loses no message
         won = self.store.create(_path(job, f"outcomes/{number}.json"), outcome.to_bytes())
         self.store.delete(f"open/{job}.{number}")
         return won
 
     def untold_rounds(self) -> list[tuple[str, int]]:
-        """Return job and round of each end that an owner is still to be told of by webhook."""
+        """Return job and round of each end of which the owner must still be notified by webhook."""
         found = [name.partition(".") for name in self.store.names("webhooks")]
         return [(job, int(number)) for job, _, number in found]
 
     def told(self, job: str, number: int) -> None:
-        """Note that the owner knows of a round's end, or can't be told."""
+        """Note that the owner was notified of a round's end, or can't be notified."""
         self.store.delete(f"webhooks/{job}.{number}")
 
     def ask_cancel(self, job: str, number: int) -> None:
@@ -110,7 +110,7 @@ class Jobs:
         self.store.replace(_path(job, f"cancels/{number}"), b"")
 
     def cancel_asked(self, job: str, number: int) -> bool:
-        """Return whether someone wants a round to stop."""
+        """Return whether a round should stop."""
         return self.store.read(_path(job, f"cancels/{number}")) is not None
 
     def ask_retry(self, job: str, number: int) -> None:
@@ -119,11 +119,11 @@ class Jobs:
         self.store.replace(_path(job, f"rounds/{number}"), b"")
 
     def cancel_now(self, job: str, number: int) -> bool:
-        """End a round that nobody works on as cancelled; return whether it was still open."""
+        """End a round as cancelled if no worker works on it; return whether it was still open."""
         return self.finish(job, number, Outcome(status=JobStatus.CANCELLED, attempt=None, finished=now()))
 
     def pin(self, job: str, pinned: bool) -> None:
-        """Note whether a job stays, however long ago it ended."""
+        """Pin a job, so that its age never deletes it, or unpin it."""
         if pinned:
             self.store.replace(_path(job, "pinned"), b"")
         else:
@@ -151,7 +151,7 @@ class Jobs:
                 self.store.copy(attempt_path(source, newest, result), attempt_path(job, TAKEN_OVER, result))
 
     def end_attempt(self, job: str, attempt: int) -> None:
-        """Note that an attempt without an outcome ended properly: it was handed back, not lost."""
+        """Note that an attempt ended regularly without an outcome, so that it does not count as lost."""
         self.store.replace(attempt_path(job, attempt, "end"), b"")
 
     def attempts(self, job: str) -> dict[int, AttemptStart]:
@@ -167,7 +167,7 @@ class Jobs:
         return sum(self.store.read(attempt_path(job, attempt, "end")) is None for attempt in started)
 
     def mark_open(self, job: str, number: int) -> None:
-        """Note that a round is to be worked on."""
+        """Mark a round as open."""
         self.store.replace(f"open/{job}.{number}", b"")
 
     def open_rounds(self) -> Iterator[tuple[str, int, float]]:
@@ -177,7 +177,7 @@ class Jobs:
             yield job, int(number), (now() - entry.modified).total_seconds()
 
     def open_of(self, owner: str) -> int:
-        """Return how many of an owner's jobs are queued or running."""
+        """Return the number of an owner's queued and running jobs."""
         return len({job for job, _, _ in self.open_rounds()}.intersection(self.owned(owner)))
 
     def index(self, record: JobRecord) -> None:
@@ -185,10 +185,10 @@ class Jobs:
         self.store.replace(_index_path(record), b"")
 
     def remove(self, record: JobRecord) -> None:
-        """Remove all that is kept of a job that has ended.
+        """Remove all files of a job that has ended.
 
-        First what is large, so that asking again ends a removal that was cut off; then the job itself. Its outcomes
-        come last, as without them it would count as open.
+        Large files are removed first, then the job itself. So another call completes an interrupted removal. The
+        outcomes are removed last, because without them the job would count as open.
         """
         self.archives.delete(record.archive)
         self.store.delete_all(_path(record.id, "attempts"))

@@ -1,2 +1,5 @@
-"""The console programs: `mgsr` has the commands of the library and of the service, which know nothing of each other;
-`mgsr-worker` those of the worker and the library's `run`."""
+"""The console programs.
+
+`mgsr` has the commands of the library and of the service, which do not import each other. `mgsr-worker` has the
+commands of the worker and the library's `run`.
+"""

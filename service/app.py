@@ -44,9 +44,9 @@ STORE_PATIENCE = 4.0
 
 
 def create_app(settings: Settings, telemetry: TracerProvider | None = None) -> FastAPI:
-    """Create the service's app. telemetry: where the spans of its requests go.
+    """Create the service's app. telemetry: the tracer provider for the spans of its requests.
 
-    Raises SetupError where no Redis server is named, StoreError where the store can't be opened.
+    Raises SetupError if no Redis server is named, and StoreError if the store can't be opened.
     """
     parts = _make_parts(settings)
     app = FastAPI(
@@ -59,7 +59,7 @@ def create_app(settings: Settings, telemetry: TracerProvider | None = None) -> F
     install(app)
     for routes in (jobs, uploads, artifacts, options, webhooks, health, page):
         app.include_router(routes.router)
-    # The last is asked first: the guard, the count, the polls, the routes.
+    # The middleware added last runs first: the guard, then the metrics, the polls and the routes.
     polled = next(route for route in jobs.router.routes if getattr(route, "endpoint", None) is jobs.get_job)
     app.add_middleware(Polls, keys=parts.keys, snapshots=parts.snapshots, route=polled)
     app.add_middleware(MetricsMiddleware, metrics=parts.metrics)
@@ -105,9 +105,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 
 
 async def _recover(parts: Parts) -> None:
-    """Look for lost jobs as the workers do, and for what has expired.
+    """Recover lost jobs, as workers do, and remove expired data.
 
-    A service alone must notice a cancel of a job that no worker has.
+    Without a worker, the service itself must notice that a job was cancelled.
     """
     recovery = Recovery(parts.jobs, parts.live, parts.queue)
     housekeeping = Housekeeping(parts.jobs, parts.live, parts.uploads, parts.settings.retention)

@@ -18,14 +18,14 @@ from service.contract.store import Store
 from service.problems import Problem
 from service.uploads import HEAD_BYTES, check_kind, timed
 
-# A part ends after so many bytes: what is lost at most where the service itself is killed.
+# The bytes of a part. If the service itself is killed, at most one part is lost.
 PART_BYTES = 32 << 20
 CHECKSUMS = ("sha1", "sha256", "sha512")
 CHECKSUM_MISMATCH = 460  # of tus; HTTP has no such status
 
 
 class Checksum:
-    """The sum that the bytes of one request should have: the algorithm, a blank, and the sum in base64."""
+    """The expected checksum of one request's bytes: the algorithm, a blank, and the sum in base64."""
 
     def __init__(self, text: str) -> None:
         """Parse the header Upload-Checksum. Raises Problem."""
@@ -42,7 +42,7 @@ class Checksum:
         )
 
     def compare(self) -> None:
-        """Raise Problem where the bytes have another sum."""
+        """Compare the checksum with that of the received bytes. Raises Problem if they differ."""
         if self.digest.digest() != self._expected:
             raise Problem(
                 CHECKSUM_MISMATCH,
@@ -54,11 +54,11 @@ class Checksum:
 async def append(
     request: Request, store: Store, state: UploadState, settings: Settings, checksum: Checksum | None
 ) -> int:
-    """Append the request's bytes to an upload, and return how many bytes it has then.
+    """Append the request's bytes to an upload, and return the upload's new size in bytes.
 
-    Where the connection breaks or is too slow, what has arrived is kept, unless there is a checksum: it covers the
-    whole request. Raises Problem: 408 too slow, 413 too many bytes, 422 unknown type, 460 another checksum; and
-    ClientDisconnect.
+    If the connection breaks or is too slow, the arrived bytes are kept. With a checksum they are dropped, because it
+    covers the whole request. Raises ClientDisconnect, and Problem: 408 too slow, 413 too many bytes, 422 unknown type,
+    460 another checksum.
     """
     body = _AppendedBody(timed(request.stream(), settings), state, checksum)
     end, keys = state.offset, []
@@ -90,7 +90,7 @@ async def _write_part(store: Store, key: str, chunk: bytes, body: _AppendedBody)
 
 
 class _AppendedBody:
-    """A request's bytes, counted and looked at. trouble: what ended them early."""
+    """A request's bytes, which are counted and checked. trouble: the error that ended them early."""
 
     def __init__(self, chunks: AsyncIterator[bytes], state: UploadState, checksum: Checksum | None) -> None:
         self._chunks, self._checksum = chunks, checksum
@@ -99,7 +99,7 @@ class _AppendedBody:
         self.trouble: Problem | ClientDisconnect | None = None
 
     async def read(self) -> bytes:
-        """Return the next bytes; none at the end. Raises Problem for those that don't belong to the upload."""
+        """Return the next bytes; none at the end. Raises Problem for bytes that don't belong to the upload."""
         try:
             chunk = b""
             while not chunk and self.trouble is None:
@@ -127,5 +127,5 @@ class _AppendedBody:
 
 
 def too_long() -> Problem:
-    """Return the problem for more bytes than the upload was to have."""
+    """Return the problem for more bytes than the upload's announced size."""
     return Problem(413, "upload_too_long", "the request has more bytes than Upload-Length leaves room for")

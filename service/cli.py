@@ -1,6 +1,6 @@
-"""`mgsr-service`: the API alone, for set-ups with a Redis server and workers of their own; with `keys`, its keys.
+"""`mgsr-service`: the API alone, for set-ups with a separate Redis server and workers; `keys` manages its keys.
 
-It needs nothing of the library, which `mgsr keys` loads.
+Unlike `mgsr keys`, it does not load the library.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def main(context: typer.Context, host: HostOption = "127.0.0.1", port: PortOptio
 
 
 def serve_api(host: str, port: int) -> None:
-    """Answer requests until SIGTERM or SIGINT. Raises SetupError where the settings can't work."""
+    """Answer requests until SIGTERM or SIGINT. Raises SetupError if the settings are unusable."""
     import uvicorn
 
     from service.app import create_app

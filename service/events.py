@@ -15,7 +15,7 @@ from service.contract.live import events_key
 from service.snapshots import Snapshot, Snapshots
 
 BLOCK_MS = 2000
-# A watcher who is so many events behind is cut off; it comes back with Last-Event-ID.
+# A watcher that is so many events behind is disconnected; it returns with Last-Event-ID.
 BEHIND = 500
 LOOK_SECONDS = 3.0
 KEEP_ALIVE_SECONDS = 15.0
@@ -50,14 +50,14 @@ class _Watched:
 
 
 class EventHub:
-    """Distributes each job's events to all who watch it."""
+    """The distribution of each job's events to all its watchers."""
 
     def __init__(self, redis: AsyncRedis, snapshots: Snapshots) -> None:
         self._redis, self._snapshots = redis, snapshots
         self._jobs: dict[str, _Watched] = {}
 
     async def follow(self, snapshot: Snapshot, after: str | None) -> AsyncIterator[bytes]:
-        """Yield the job as it is, then its events until it ends.
+        """Yield the job's current state, then its events until it ends.
 
         after: the id of the last event that the client knows; None starts with new events.
         """
@@ -65,7 +65,7 @@ class EventHub:
         queue: asyncio.Queue[ServerEvent | None] = asyncio.Queue(BEHIND)
         watched = self._join(job, queue)
         try:
-            await watched.ready.wait()  # what comes from here on is in the queue, what came before is in the stream
+            await watched.ready.wait()  # later events are in the queue, earlier ones in the stream
             yield b"retry: 2000\n\n" + _job_event(snapshot)
             last = (0, 0)
             for event in await self._missed(job, after):
@@ -81,9 +81,9 @@ class EventHub:
     async def _live(
         self, job: str, queue: asyncio.Queue[ServerEvent | None], last: tuple[int, int]
     ) -> AsyncIterator[bytes]:
-        """Yield events as they come.
+        """Yield events as they arrive.
 
-        The job itself is read too, as its end may be lost together with Redis.
+        The job itself is read too, because its end may be lost together with Redis.
         """
         quiet = 0.0
         while True:

@@ -14,9 +14,9 @@ LOOPBACK_NAMES = {"localhost", "127.0.0.1", "::1"}
 
 
 class LocalGuard:
-    """Refuses, while there are no keys, requests that name another host or that another site's page sends.
+    """A guard that, while there are no keys, refuses requests with another host and requests from other sites' pages.
 
-    Such a host comes from a web page whose name was bound to this machine.
+    Another host in a request comes from a web page whose name was bound to this machine (DNS rebinding).
     """
 
     def __init__(self, app: ASGIApp, keys_needed: Callable[[], bool | None], hosts: set[str]) -> None:

@@ -1,4 +1,4 @@
-"""Remove what has expired: uploads that nobody continues, and jobs past their retention."""
+"""The removal of expired data: uploads that were not continued, and jobs past their retention."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from service.contract.live import Live
 from service.contract.resumable import ResumableUploads
 from service.contract.retention import Retention
 
-PERIOD = 600.0  # seconds between two looks of all services together
+PERIOD = 600.0  # seconds between two checks of all services together
 
 
 class Housekeeping:
@@ -18,7 +18,7 @@ class Housekeeping:
         self._retention = None if retention is None else Retention(jobs, retention)
 
     def look(self) -> None:
-        """Remove what has expired, unless another service has just looked. Raises StoreError and redis.RedisError."""
+        """Remove expired data, unless another service has just checked. Raises StoreError and redis.RedisError."""
         if not self._live.redis.set("mgsr:housekeeping", 1, nx=True, ex=round(PERIOD)):
             return
         self._uploads.sweep()

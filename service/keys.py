@@ -14,7 +14,7 @@ CACHE_SECONDS = 5.0
 
 
 class Key(Document):
-    """What is kept of a key. id: the owner of the jobs that are made with it."""
+    """The record of a key. id: the owner of the jobs that are made with it."""
 
     id: str
     name: str
@@ -22,7 +22,7 @@ class Key(Document):
 
 
 class Keys:
-    """The keys of one store, remembered for a few seconds."""
+    """The keys of one store, cached for a few seconds."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -30,7 +30,7 @@ class Keys:
         self._any: tuple[float, bool] = (float("-inf"), False)
 
     def create(self, name: str) -> tuple[str, Key]:
-        """Create a key; return its token and what is kept of it."""
+        """Create a key; return its token and its record."""
         token = "mgsr_" + secrets.token_urlsafe(32)
         key = Key(id=secrets.token_hex(8), name=name, created=now())
         self._store.create(_path(token), key.to_bytes())
@@ -59,20 +59,20 @@ class Keys:
         if time.monotonic() - read_at > CACHE_SECONDS:
             data = self._store.read(path)
             key = None if data is None else Key.model_validate_json(data)
-            if len(self._known) > 10_000:  # somebody is guessing
+            if len(self._known) > 10_000:  # so many tokens are guesses
                 self._known.clear()
             self._known[path] = (time.monotonic(), key)
         return key
 
     def cached(self, token: str) -> Key | None:
-        """Return the key as `find` does, but None where the store would have to be asked."""
+        """Return the key as `find` does, but None if it is not cached."""
         read_at, key = self._known.get(_path(token), (float("-inf"), None))
         return key if time.monotonic() - read_at <= CACHE_SECONDS else None
 
     def needed(self) -> bool:
         """Return whether callers must show a key.
 
-        They must from the first key that was seen on, so that a service does not become open when its last key is
+        They must show one once any key has been seen, so that a service does not become open when its last key is
         revoked.
         """
         read_at, found = self._any
@@ -83,7 +83,7 @@ class Keys:
 
     @property
     def needed_cached(self) -> bool | None:
-        """Return the answer of `needed`, but None where the store would have to be asked."""
+        """Return the answer of `needed`, but None if it is not cached."""
         read_at, found = self._any
         return found if found or time.monotonic() - read_at <= CACHE_SECONDS else None
 

@@ -75,7 +75,7 @@ OwnerDep = Annotated[str, Depends(_owner)]
 
 async def _own_job(job_id: str, owner: OwnerDep, parts: PartsDep) -> Snapshot:
     snapshot = await parts.snapshots.get(job_id)
-    # Another owner's job is answered like none at all: its id is nobody else's business.
+    # Another owner's job gets the answer of an unknown job, so that ids stay private.
     if snapshot is None or snapshot.owner != owner:
         raise Problem(404, "job_unknown", f"you have no job {job_id[:64]!r}; GET /jobs lists your jobs")
     return snapshot

@@ -1,8 +1,8 @@
-"""Answer `GET /jobs/{id}`, which clients ask again and again, before the routes are looked at.
+"""A short cut for `GET /jobs/{id}`, which clients poll, before the routes.
 
-Three hundred clients that poll once a second would otherwise keep a third of a core busy with FastAPI's own work for
-each request. Only requests that memory can answer are answered here: a caller and a job that were looked up a moment
-ago. All others go on to the route, which says the same (`poll_answer`).
+Without it, three hundred clients that poll once a second would keep a third of a core busy with FastAPI's own work.
+This module answers only from memory: the caller and the job must have been looked up recently. All other requests go
+on to the route, which gives the same answer (`poll_answer`).
 """
 
 from __future__ import annotations

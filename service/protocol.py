@@ -11,11 +11,11 @@ WAIT_AT_MOST = 5.0  # seconds; an application that reads no more by then does no
 
 
 class PatientProtocol(HttpToolsProtocol):
-    """uvicorn's protocol, which hands over all bytes of a request that arrived before its connection broke.
+    """uvicorn's protocol, changed to deliver all bytes of a request that arrived before its connection broke.
 
-    uvicorn answers the application's next read with the disconnect, and drops the bytes that the application had not
-    read yet: up to 64 KiB (`uvicorn.protocols.http.flow_control`) and what was read from the socket with them. A
-    resumable upload keeps them.
+    After a disconnect, uvicorn drops the bytes that the application had not read yet. These are up to 64 KiB
+    (`uvicorn.protocols.http.flow_control`), and the bytes read from the socket with them. A resumable upload needs
+    them.
     """
 
     def connection_lost(self, exc: Exception | None) -> None:

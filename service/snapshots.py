@@ -1,6 +1,6 @@
-"""Current states of jobs, read once for all who ask at the same time.
+"""Current states of jobs, each read once for all simultaneous requests.
 
-Three hundred clients that poll a job cost one look at the store and Redis in each half second.
+Three hundred clients that poll a job cause one reading of store and Redis in each half second.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from service.contract.records import Outcome
 from service.views import JobView, job_view
 
 FRESH_SECONDS = 0.4
-# A job that has ended changes only by a retry; one made through another service shows so late.
+# A job that has ended changes only by a retry. A retry through another service is visible after this time.
 FRESH_FINAL_SECONDS = 2.0
-# For so long at most the old is shown while the new is read.
+# The longest time for which the old state is used while the new one is read.
 READING_SECONDS = 0.5
 KEPT = 5000
 _ID = re.compile(r"[0-9a-f]{32}")
@@ -57,7 +57,7 @@ class Snapshot:
 
 
 class Snapshots:
-    """The jobs that were asked for lately."""
+    """The cached states of recently requested jobs."""
 
     def __init__(self, jobs: Jobs, queue: JobQueue, redis: AsyncRedis, retention: float | None) -> None:
         """Begin with none. retention: seconds for which jobs are kept after their end; None for ever."""

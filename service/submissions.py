@@ -1,4 +1,4 @@
-"""What all submits share, however their archive comes: the checks of options, disk and limits; filing; the answer."""
+"""The common part of all submits: the checks of options, disk and limits, the filing of the job, and the answer."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def parse_options(text: str | None) -> JobOptions:
 
 
 def check_webhook(options: JobOptions, parts: Parts) -> None:
-    """Raise Problem for an address that no worker would call."""
+    """Check that workers may call the webhook's address. Raises Problem otherwise."""
     if options.webhook is not None and not parts.settings.webhook_private and names_private_host(options.webhook):
         raise Problem(
             422,
@@ -50,7 +50,7 @@ def check_webhook(options: JobOptions, parts: Parts) -> None:
 
 
 async def check_room(length: int, owner: str, parts: Parts) -> None:
-    """Raise Problem where `length` bytes more fill the disk, or exceed a limit of the owner."""
+    """Check that disk and owner have room for `length` more bytes. Raises Problem otherwise."""
     folder = parts.jobs.store.folder
     if folder is not None and shutil.disk_usage(folder).free < length + parts.settings.min_free_disk:
         raise Problem(
@@ -62,7 +62,7 @@ async def check_room(length: int, owner: str, parts: Parts) -> None:
 
 
 def _check_limits(length: int, owner: str, parts: Parts) -> None:
-    """Raise Problem where the owner has too many open jobs, or would store too much. Uploads count as jobs."""
+    """Check the owner's numbers of open jobs and of stored bytes; uploads count as jobs. Raises Problem."""
     settings, arriving = parts.settings, parts.uploads.owned(owner)
     opened = parts.jobs.open_of(owner) + len(arriving)
     if opened >= settings.max_open_jobs:

@@ -36,7 +36,7 @@ RAW_TYPES = {
     "video/webm",
     "video/x-matroska",
 }
-# What is taken, in words.
+# The accepted kinds of files, for messages.
 ARCHIVES = "zip, tar, tar.gz, tar.zst, or a video as mp4, mov, webm or mkv"
 HEAD_BYTES = 512  # bytes, enough to tell what kind of archive it is
 # Of zip, gzip, zstd, and Matroska with WebM. A tar has its mark later, and mp4 and mov have theirs after a length.
@@ -54,7 +54,7 @@ class Received:
 
 
 async def receive(request: Request, store: Store, key: str, settings: Settings) -> Received:
-    """Store the request's archive under `key`; on any trouble, nothing is left there.
+    """Store the request's archive under `key`; after an error, nothing is left there.
 
     Raises Problem: 408 too slow, 413 too large, 415 unknown type, 400 cut or malformed, 422 no archive.
     """
@@ -82,7 +82,7 @@ async def receive(request: Request, store: Store, key: str, settings: Settings) 
 
 
 class _Sink:
-    """Counts, hashes and holds the archive's bytes until they are written."""
+    """A buffer that counts and hashes the archive's bytes and holds them until they are written."""
 
     def __init__(self, limit: int) -> None:
         self.limit, self.size, self.digest = limit, 0, hashlib.sha256()
@@ -107,7 +107,7 @@ class _Sink:
 
 
 def check_kind(head: bytes) -> None:
-    """Raise Problem for what is neither an archive nor a video, by its first bytes; the worker looks closer."""
+    """Check by its first bytes that a file is an archive or a video; the worker checks more. Raises Problem."""
     if not head:
         raise Problem(422, "archive_missing", f"the archive is empty; expected {ARCHIVES}")
     if not (head.startswith(_MAGIC) or head[257:262] == b"ustar" or head[4:8] in _MOVIES):

@@ -1,4 +1,4 @@
-"""Make one attempt at a job: fetch, run, watch, publish."""
+"""One attempt at a job: fetch its files, run it, watch it, and publish its results."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ log = logging.getLogger("mgsr.worker")
 TICK = 0.1
 BEAT_PERIOD = 10.0
 KILLED = -9
-# What leaves no time for a last checkpoint. Outside these steps there is nothing new to keep either.
+# The reasons that leave no time for a last checkpoint. Other reasons need one only in the KEEPING_STEPS.
 AT_ONCE = (Reason.MEMORY, Reason.LEASE_LOST, Reason.DISK_FULL)
 KEEPING_STEPS = ("train", "cameras")
 
@@ -51,7 +51,7 @@ FINAL_CODES = {
 
 
 class Interrupted(Exception):
-    """The attempt stops without an outcome. `lost`: its process was ended by a stranger."""
+    """The attempt stops without an outcome. `lost`: whether another program has killed its process."""
 
     def __init__(self, lost: bool) -> None:
         super().__init__("interrupted")
@@ -60,11 +60,13 @@ class Interrupted(Exception):
 
 @dataclass(frozen=True)
 class WorkerContext:
-    """What an attempt needs of its worker.
+    """The worker's objects that an attempt needs.
 
-    retrying_jobs: jobs in a store client that waits while the store doesn't answer. jobs: in one that gives up soon.
-    stopping: tells whether the worker is to end. beat: reports that the worker lives. step: told
-    of each step that begins.
+    retrying_jobs: the jobs, by a store client that waits while the store doesn't answer.
+    jobs: the jobs, by a store client that gives up soon.
+    stopping: returns whether the worker should end.
+    beat: reports that the worker lives.
+    step: receives the name of each step that begins.
     """
 
     settings: Settings
@@ -89,9 +91,9 @@ class Attempt:
         self._earlier_curve: list[dict[str, Any]] = []
 
     def run(self) -> Outcome:
-        """Make the attempt, and return how it ends the round.
+        """Make the attempt, and return the round's outcome.
 
-        Raises Interrupted where it ends without an outcome, and StoreError where the store stays away.
+        Raises Interrupted if it ends without an outcome, and StoreError if the store does not return.
         """
         settings = self._context.settings
         with scratch_folder(settings.scratch_folder, f"{self._record.id}.{self._attempt}") as scratch:
@@ -130,9 +132,9 @@ class Attempt:
                 return  # the next beat may reach it
 
     def _while_watching(self, work: Callable[[], None]) -> Outcome | None:
-        """Do something slow in a thread, and return the outcome if there is a reason to stop first.
+        """Run slow work in a thread; if a reason to stop comes first, abandon the thread and return the outcome.
 
-        The thread is then left alone. An error in it is raised.
+        An error in the thread is raised.
         """
         trouble: list[BaseException] = []
 
@@ -153,7 +155,7 @@ class Attempt:
         return None
 
     def _fetch(self) -> None:
-        """Fetch the archive, and the newest checkpoint and cameras that any attempt has left."""
+        """Fetch the archive, and the newest checkpoint and cameras of all attempts."""
         store, job = self._context.retrying_jobs.store, self._record.id
         (self._scratch / "out").mkdir()
         self._context.retrying_jobs.archives.download(self._record.archive, self._scratch / "archive")
@@ -174,7 +176,7 @@ class Attempt:
                 self._context.retrying_jobs.store.download(place, key)
 
     def _fetch_taken_over(self) -> None:
-        """Fetch into the results what a rerun takes over from those of the earlier job."""
+        """Fetch the results that a rerun takes from the earlier job."""
         store, folder = self._context.retrying_jobs.store, attempt_path(self._record.id, TAKEN_OVER, "")
         for name in store.names(folder):
             path = self._scratch / "out" / name
@@ -204,7 +206,7 @@ class Attempt:
         return self._failed(result.code, result.message, ended.peak_memory)
 
     def _follow(self, process: JobProcess) -> Exit:
-        """Pass the process's events on until it ends, or is ended."""
+        """Pass on the process's events until it ends or is killed."""
         asked: float | None = None
         while (ended := process.poll()) is None:
             self._pass_on(process)
@@ -292,7 +294,7 @@ class Attempt:
         return self._while_watching(work) or published[0]
 
     def _stopped(self, reason: Reason, peak: int | None) -> Outcome:
-        """Return how a round ends that was stopped from outside; its last checkpoint is kept for a retry.
+        """Return the outcome of a round that was stopped from outside; its last checkpoint is kept for a retry.
 
         Raises Interrupted for a lost lease and for a shutdown.
         """
@@ -320,9 +322,9 @@ class Attempt:
         return f"the job exceeded its deadline of {limit:g} s; retry it to continue from its checkpoint"
 
     def _died(self, ended: Exit, out_of_memory: bool) -> Outcome:
-        """Return how a round ends whose process ended without a result.
+        """Return the outcome of a round whose process ended without a result.
 
-        Raises Interrupted where a stranger killed it.
+        Raises Interrupted if another program killed it.
         """
         if ended.code == KILLED and out_of_memory:
             text = f"the operating system ended the job for lack of memory, at {ended.peak_memory / 2**20:.0f} MiB"
@@ -343,7 +345,7 @@ class Attempt:
         return Outcome(status=JobStatus.FAILED, attempt=self._attempt, finished=now(), error=failure)
 
     def _keep_checkpoint(self) -> None:
-        """Upload checkpoint, cameras and log to the store, without waiting for one that is away."""
+        """Upload checkpoint, cameras and log, without waiting for a store that doesn't answer."""
         for send in (self._carrier.send_checkpoint, self._carrier.send_cameras, self._carrier.send_log):
             try:
                 send()

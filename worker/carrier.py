@@ -1,4 +1,4 @@
-"""Upload what a running job makes to the store while it runs: checkpoint, found cameras, previews, log."""
+"""The upload of a running job's files to the store: checkpoint, found cameras, previews, log."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from service.contract.errors import StoreError
 from service.contract.jobs import Jobs, attempt_path
 
-PERIOD = 1.0  # seconds between two looks
+PERIOD = 1.0  # seconds between two checks for changed files
 LOG_PERIOD = 5.0
 CANCEL_PERIOD = 5.0
 # Of the results: the folder of found cameras, and the file in it that says what is there.
@@ -19,7 +19,7 @@ CAMERA_STATE = "cameras/search.json"
 
 
 class Carrier:
-    """A thread that uploads each file when it has changed. What the store refuses is tried again at the next look."""
+    """A thread that uploads each file when it has changed. A failed upload is repeated at the next check."""
 
     def __init__(self, jobs: Jobs, job: str, number: int, attempt: int, scratch: Path) -> None:
         self._jobs, self._job, self._number, self._attempt = jobs, job, number, attempt

@@ -9,14 +9,14 @@ from redis import Redis, RedisError
 from rq import Worker
 from rq.worker import BaseWorker
 
-# An idle worker says that it lives every 45 s, one with a job every 10 s.
+# An idle worker reports every 45 s, a worker with a job every 10 s.
 SILENT_SECONDS = 120.0
 
 
 def worker_health(redis: Redis) -> tuple[bool, str]:
     """Return whether a worker that was started on this host has reported lately, and a line about it.
 
-    A Redis server that does not answer says nothing about the worker, which waits for it, so that counts as healthy.
+    If the Redis server does not answer, the worker counts as healthy, because it waits for the server.
     """
     host = socket.gethostname()
     try:

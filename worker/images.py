@@ -10,7 +10,7 @@ from mgsr.errors import ArchiveError
 
 
 def check_images(folder: Path, most: int) -> None:
-    """Raise ArchiveError for the first image below `folder` whose header declares more pixels than `most`."""
+    """Check the headers of all images below `folder`. Raises ArchiveError for one with more pixels than `most`."""
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() not in IMAGE_SUFFIXES or not path.is_file():
             continue

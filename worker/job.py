@@ -1,7 +1,7 @@
 """The job process: unpacks and reconstructs one scene.
 
-It knows neither Redis nor the store and has no secrets, because only it reads what strangers send. A file tells it what
-to do; it answers with lines of JSON and a result file.
+It has access neither to Redis nor to the store nor to secrets, because it reads untrusted uploads. A file contains its
+task. It answers with lines of JSON and a result file.
 
 python -m worker.job, with MGSR_JOB naming the spec and MGSR_JOB_PARENT the worker's process id.
 """
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 
 # The pipe to the worker.
 EVENTS_FD = 3
-# The worker that watches, and the API of a laptop, answer first.
+# The niceness of the process. The watching worker, and the API on a laptop, have priority.
 NICE = 5
 
 
 class JobSpec(BaseModel):
-    """What the worker asks for; all files lie in the attempt's scratch folder."""
+    """The worker's request; all files lie in the attempt's scratch folder."""
 
     options: JobOptions
     archive: Path
@@ -52,7 +52,7 @@ class JobSpec(BaseModel):
 
 
 class JobResult(BaseModel):
-    """How the process ended. status: succeeded, stopped (on request), or failed with a code and a message."""
+    """The result of the process. status: succeeded, stopped (on request), or failed with a code and a message."""
 
     status: str
     code: str = ""
@@ -69,7 +69,7 @@ def main() -> None:
     partial = spec.result.with_suffix(".partial")
     partial.write_text(result.model_dump_json())
     os.replace(partial, spec.result)
-    # All is written: taking Torch and Open3D down object by object would take a second more.
+    # All files are written. A regular exit would take a second more to destroy the objects of Torch and Open3D.
     os._exit(0)
 
 
@@ -107,7 +107,7 @@ def _reconstruct(spec: JobSpec) -> None:
         check_images(spec.scene, spec.max_pixels)
         options = spec.options
         watch = ["watch.report_every=5", "watch.preview_every=200"]
-        # An upload must not make the job read what lies beside it, such as other jobs' photographs.
+        # An upload must not make the job read files outside it, such as other jobs' photographs.
         always = [f"watch.checkpoint_seconds={spec.checkpoint_seconds}", "data.confined=on"]
         config = make_config(options.preset, options.method, options.seed, [*watch, *options.overrides(), *always])
 
@@ -119,7 +119,7 @@ def _reconstruct(spec: JobSpec) -> None:
 
         with RunDisplay(spec.out / LOG, append=spec.resume) as display:
             report = Reporter(spec.previews, partial(_tell, spec), partial(_log, spec, display))
-            # By its name alone, so that the report and the log do not speak of the worker's folders.
+            # The scene is given by its name alone, so that report and log do not contain the worker's folders.
             os.chdir(spec.scene.parent)
             if options.dry_run:
                 write_estimate(Path(spec.scene.name), spec.out, config, options.device, report, stop)
@@ -157,12 +157,12 @@ def emit(kind: str, **data: Any) -> None:
 
 
 def _tell(spec: JobSpec, kind: str, **data: Any) -> None:
-    """Send the worker an event that others will read, without the worker's own paths."""
+    """Send the worker an event for users, without the worker's own paths."""
     emit(kind, **{name: _without_folders(value, spec) if name == "text" else value for name, value in data.items()})
 
 
 def _log(spec: JobSpec, display: EventCallback, event: Event) -> None:
-    """Log an event that others will read, without the worker's own paths."""
+    """Log an event for users, without the worker's own paths."""
     display(dataclasses.replace(event, text=_without_folders(event.text, spec)))
 
 

@@ -11,9 +11,10 @@ from service.contract.live import Live
 
 
 class LeaseKeeper:
-    """Renews a lease in a thread of its own, so that no upload and no slow store lets it expire; a context manager.
+    """A context manager that renews a lease in a thread, so that no upload and no slow store lets it expire.
 
-    While Redis is away nobody else can take the lease either. When Redis comes back without it, it is taken anew.
+    While Redis is unavailable, no other worker can take the lease either. If Redis returns without the lease, it is
+    taken again.
     """
 
     def __init__(self, live: Live, job: str, holder: str, seconds: float) -> None:

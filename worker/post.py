@@ -1,7 +1,7 @@
 """Tell owners by webhook that their jobs have ended, signed as Standard Webhooks 1.0 requires.
 
-Pending messages lie in the store (`webhooks/`), so that neither a dead worker nor the loss of Redis loses them. Redis
-keeps the time of each one's next try. A message may come twice; its id is the same then.
+Pending messages lie in the store (`webhooks/`), so they survive the death of a worker and the loss of Redis. Redis
+keeps the time of each message's next try. A message may arrive twice, with the same id.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _GONE = 410  # the receiver wants no more
 
 @dataclass(frozen=True)
 class Message:
-    """What one owner is to be told, and where."""
+    """A message to one owner, and its address."""
 
     id: str
     url: str
@@ -131,7 +131,7 @@ def signature(secret: str, message: str, sent: str, body: bytes) -> str:
 
 
 async def call(message: Message, allow_private: bool) -> str | None:
-    """Send a message; return None where it was accepted (2xx), or why it was not. Redirects are not followed."""
+    """Send a message; return None if it was accepted (2xx), else the reason. Redirects are not followed."""
     try:
         async with asyncio.timeout(TRY_SECONDS):
             url = httpx.URL(message.url)
@@ -139,7 +139,7 @@ async def call(message: Message, allow_private: bool) -> str | None:
             if address is None:
                 return f"{url.host} is on this machine or its network (MGSR_WEBHOOK_PRIVATE)"
             headers = message.headers() | {"Host": url.netloc.decode()}
-            # To the address that was looked at: the name may mean another the next time.
+            # The call goes to the checked address, because the name may resolve to another one the next time.
             target, names = url.copy_with(host=address), {"sni_hostname": url.host}
             async with (
                 httpx.AsyncClient(trust_env=False) as client,

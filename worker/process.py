@@ -1,4 +1,4 @@
-"""The job process as its worker sees it."""
+"""The worker's handle of the job process."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 from worker.job import EVENTS_FD
 
-# What the job process may know of the worker's environment: no address and no secret of Redis or the store.
+# The environment variables that the job process gets. Addresses and secrets of Redis and the store are left out.
 _PASSED = (
     *("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH"),
     *("CUDA_VISIBLE_DEVICES", "CUDA_DEVICE_ORDER"),  # a number means a card only in an order
@@ -26,16 +26,16 @@ _PASSED_PREFIXES = (
 
 @dataclass(frozen=True)
 class Exit:
-    """How the process ended: its exit code, or minus the signal, and its peak memory, bytes."""
+    """The end of the process: its exit code, or minus the signal, and its peak memory in bytes."""
 
     code: int
     peak_memory: int
 
 
 class JobProcess:
-    """One run of worker/job.py, in a process group of its own and tied to the thread that started it.
+    """One run of worker/job.py, in a separate process group and tied to the thread that started it.
 
-    It is spawned afresh, so that it inherits no thread and no CUDA state.
+    It is spawned as a new program, so that it inherits no thread and no CUDA state.
     """
 
     def __init__(self, spec: Path, scratch: Path) -> None:
@@ -110,7 +110,7 @@ class JobProcess:
         os.close(self._read)
 
     def _signal(self, number: signal.Signals) -> None:
-        # Until it has been waited for, its number can't belong to another process.
+        # Before it has been waited for, its process id can't belong to another process.
         if self.exit is None:
             os.killpg(self.pid, number)
 

@@ -12,7 +12,7 @@ from service.contract.jobs import attempt_path
 from service.contract.records import Artifact
 from service.contract.store import Store
 
-# Files of the results that are no results.
+# Files in the folder of results that are not published.
 _KEPT_BACK = {"checkpoint"}
 _TYPES = {
     ".ply": "application/octet-stream",

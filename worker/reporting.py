@@ -1,4 +1,4 @@
-"""Turn a run's events into what the worker passes on: credible progress, and preview pictures."""
+"""Conversion of a run's events into the worker's reports: progress, time left, and preview pictures."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Reporter:
             self._emit("step", text=event.text, step=event.step, **self._place(self._reached(left), left))
 
     def _prepare(self, event: Event) -> None:
-        """Report a step before training: how far it is and how long it will take, where it says so."""
+        """Report a step before training, with its progress and its remaining time if they are known."""
         if event.step != self._step:
             self._step, self._started_at = event.step, time.monotonic()
         self._searched |= event.step == "cameras"

@@ -1,4 +1,4 @@
-"""Take up rounds of jobs: claim them, make an attempt, and file how they ended."""
+"""The work on rounds of jobs: claim a round, make an attempt, and file its outcome."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("mgsr.worker")
 
-# Seconds for which requests on the way are tried again; the next look tries anyway.
+# Seconds for which requests during a round are repeated. A later check repeats them anyway.
 SHORT_PATIENCE = 5.0
 
 
 class Rounds:
-    """What one worker does with what it takes from the queue."""
+    """One worker's handling of the rounds that it takes from the queue."""
 
     def __init__(
         self,
@@ -117,7 +117,7 @@ class Rounds:
         try:
             self.live.publish(job, "status", data)
         except RedisError:
-            return  # who listens also looks at the store from time to time
+            return  # listeners also read the store from time to time
 
 
 def _given_up(lost: int) -> Outcome:

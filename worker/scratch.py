@@ -1,4 +1,4 @@
-"""Folders for attempts. None outlives its worker for long, however the worker dies."""
+"""Scratch folders for attempts, which are removed soon after their worker ends, however it dies."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from service.contract.settings import Settings
 from worker.cards import all_cards
 from worker.rq_worker import work
 
-# Tells a child which card is its own, so that it starts no children again.
+# Names a child's card, so that the child does not start children too.
 _CARD = "MGSR_WORKER_CARD"
 
 
@@ -61,7 +61,7 @@ def _one_for_each(cards: list[str]) -> None:
     finally:
         for number in (signal.SIGTERM, signal.SIGINT):  # from here on they end anyway
             signal.signal(number, signal.SIG_IGN)
-        # At the same time: each may have a checkpoint to write.
+        # All at once, because each may have to write a checkpoint.
         with ThreadPoolExecutor(len(children)) as pool:
             list(pool.map(lambda child: child.stop(at_once=False), children))
 

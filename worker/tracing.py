@@ -1,4 +1,4 @@
-"""What a worker does with a round, as spans of the trace that the job's submit began: the wait, the work, its steps."""
+"""The spans of a worker's round, in the trace that the job's submit began: the wait, the work and its steps."""
 
 from __future__ import annotations
 

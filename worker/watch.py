@@ -1,4 +1,4 @@
-"""Look a few times a second for a reason why a running attempt must stop."""
+"""Checks, a few times a second, for a reason to stop a running attempt."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from redis import RedisError
 
 from service.contract.live import Live
 
-CANCEL_PERIOD = 0.5  # seconds between two looks for a cancel
+CANCEL_PERIOD = 0.5  # seconds between two checks for a cancel
 MEASURE_PERIOD = 0.25
 DISK_PERIOD = 1.0
 
@@ -29,7 +29,7 @@ class Reason(StrEnum):
 
 
 class Watch:
-    """Looks at everything that can end an attempt. `look` returns the first reason found; it stays."""
+    """The check of everything that can end an attempt. `look` returns the first reason found, and keeps it."""
 
     def __init__(
         self,

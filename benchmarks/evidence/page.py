@@ -88,10 +88,10 @@ def _making_section(evidence: Evidence) -> str:
     return "\n\n".join(
         (
             "## How this was made",
-            f"The runs were made on {'; '.join(machines)}, with the program at {', '.join(commits)}. Every row of "
-            "[runs.csv](../benchmarks/results/runs.csv) has its machine, versions, commit, command and notes ([as a "
-            "page](../benchmarks/results/runs.md)). These commands run what is missing, add it to the results, and "
-            "make this page again:",
+            f"The machines of the runs are: {'; '.join(machines)}. The program is that of {', '.join(commits)}. Every "
+            "row of [runs.csv](../benchmarks/results/runs.csv) has its machine, versions, commit, command and notes "
+            "([as a page](../benchmarks/results/runs.md)). These commands make the missing runs, add them to the "
+            "results, and make this page again:",
             "<!-- not run: it needs the measurement scenes and hours -->\n```sh\n"
             "mgsr bench ../shared/data/scenes/{spot_soft,teapot_hdr,bunny_flash,wingnut_dark} -o out/bench \\\n"
             "    --methods mgsr,2dgs,3dgs --presets draft,standard --evaluate ../shared/tools/evaluate.py \\\n"

@@ -62,8 +62,8 @@ def relighting_section(rows: Sequence[RelightingRow]) -> str:
             markdown(head, cells),
             f"On average, the model is {gain:.1f} dB closer to the truth than photograph colours are; it is behind on "
             f"{behind}.\n\nOn matte scenes, the model in its own light is as bright as the photographs, within 2%. It "
-            "is less sharp than the splats: on spot_soft, in pictures of 128 x 128 pixels, it has 34.6 dB, and 36.9 dB "
-            "with texels of less than half the size (`--texture 800`).",
+            "is less sharp than the splats. On spot_soft, in pictures of 128 x 128 pixels, it has 34.6 dB. With "
+            "texels of less than half the size (`--texture 800`), it has 36.9 dB.",
         )
     )
 

@@ -123,7 +123,7 @@ def curve_section(evidence: Evidence) -> str:
     return "\n\n".join(
         (
             "## Within a run",
-            f"The table tells when the PSNR of the curve's two test views first came within {NEAR_BEST} dB of its "
+            f"The table shows when the PSNR of the curve's two test views first came within {NEAR_BEST} dB of its "
             "best. Later training must improve the surface, or it is wasted. A run that was near its best only at "
             "its end would have gained from more. The two views decide nothing in a run, and no run measures its "
             "Chamfer during training.",

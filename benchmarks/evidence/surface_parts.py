@@ -63,11 +63,11 @@ def _section(title: str, what: str, seconds: str, script: str, rows: Sequence[Pa
     return "\n\n".join(
         (
             title,
-            f"{what} The table tells by how much the Chamfer distance and the normal error rise without a part, on "
-            f"average over {len(whole)} scenes of the tuning set ({', '.join(whole)}). It counts the scenes on "
-            "which the part improves or worsens the Chamfer distance by more than 1%, and gives its processor "
-            f"seconds. {seconds} The program is that of {commits}. `python -m benchmarks.{script}` makes these "
-            "figures.",
+            f"{what} The table shows the rise of the Chamfer distance and of the normal error without a part. It is "
+            f"the mean over {len(whole)} scenes of the tuning set ({', '.join(whole)}). The table also counts the "
+            "scenes on which the part improves or worsens the Chamfer distance by more than 1%, and gives its "
+            f"processor seconds. {seconds} The program is that of {commits}. `python -m benchmarks.{script}` makes "
+            "these figures.",
             markdown(head, [_part(of_part, whole) for of_part in without if of_part]),
         )
     )

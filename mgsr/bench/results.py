@@ -24,14 +24,22 @@ MIB = 2**20
 
 @dataclass(frozen=True)
 class Row:
-    """One cell of the matrix; None where a run has no such figure.
+    """One cell of the matrix; a field is None if a run has no such figure.
 
-    state: done, or why the cell is broken. seconds: of the whole run; start, train and mesh are parts of it. psnr,
-    ssim: test views on white; psnr_object: on the object's pixels. chamfer: thousandths of the object's radius;
-    f_score: at 0.5% of it; normal_consistency: times 100; normal_error: degrees; split_gain: dB by which the
-    transmitted light is nearer to the object's matte look than the photograph is. model_mib: the splats' files.
-    memory_mib: the most that the run held. others: processors that other programs kept busy meanwhile. scored_by:
-    report, or the evaluator's name. command: what makes this run again.
+    state: done, or the reason why the cell is broken.
+    seconds: of the whole run; start, train and mesh are parts of it.
+    psnr, ssim: of test views on white; psnr_object: on the object's pixels.
+    chamfer: in thousandths of the object's radius.
+    f_score: at 0.5% of that radius.
+    normal_consistency: times 100.
+    normal_error: in degrees.
+    split_gain: the dB by which transmitted light is nearer to the object's matte look than the photograph.
+
+    model_mib: the size of the splats' files.
+    memory_mib: the most memory that the run held.
+    others: the number of processors that other programs kept busy meanwhile.
+    scored_by: report, or the evaluator's name.
+    command: the command that repeats this run.
     """
 
     scene: str
@@ -135,7 +143,7 @@ def _identity(cell: Cell) -> dict[str, Any]:
 def keep_rows(old: Iterable[Row], new: Iterable[Row]) -> list[Row]:
     """Merge old and new rows, sorted; a new row replaces the old one of its cell, unless it is broken.
 
-    A replaced plain run is kept as long as variants or other methods of its scene, preset and commit exist, since they
+    A replaced plain run is kept while variants or other methods of its scene, preset and commit exist, because these
     can be compared only with it.
     """
     kept: dict[tuple[str | int, ...], Row] = {}

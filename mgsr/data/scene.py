@@ -125,18 +125,21 @@ class Exposures:
 class Scene:
     """A capture in its normalised frame: the object (or the region that the cameras look at) lies in the unit ball.
 
-    user_from_scene takes results back to the frame and scale of the input files. format names the reader. root is the
-    folder that was read; for an archive, its unpacked folder. notes inform the user about omitted input. warning is one
-    of them: the surface will be a guess.
+    user_from_scene: converts results to the frame and scale of the input files.
+    format: the name of the reader.
+    root: the folder that was read; for an archive, its unpacked folder.
+    notes: messages to the user about omitted input.
+    warning: one of the notes, if it says that the surface will be a guess.
 
-    exposures: the factors divided out of the photographs; None where they are unchanged (see `exposure.py`). ignoring:
-    whether masks of regions to ignore make pixels invalid. source, read_with and options: the path, the settings
-    and the expert options of the reading; None and the defaults for a scene that was not read from files.
+    exposures: the factors divided out of the photographs; None if they are unchanged (see `exposure.py`).
+    ignoring: whether masks of regions to ignore make pixels invalid.
+    source, read_with, options: the path, the settings and the expert options of the reading; None and the defaults for
+    a scene that was not read from files.
 
     ground [4]: the plane on which a found object stands, None if it is unknown. It holds the points x with
-    ground[:3] . x + ground[3] = 0; its unit normal points up. mask_dissent: the number of training views whose masks
-    may exclude a point of the object; 0 for masks that no search has found. object_place: where the object lies, as
-    the capture says, None without that.
+    ground[:3] . x + ground[3] = 0; its unit normal points up.
+    mask_dissent: the number of training views whose masks may exclude a point of a found object; 0 for other masks.
+    object_place: the object's place according to the capture, None if the capture gives none.
     """
 
     name: str

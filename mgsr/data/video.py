@@ -34,8 +34,8 @@ _UNKNOWN = 2
 # Videos from this height on are of BT.709 where they don't say; smaller ones of BT.601.
 _HIGH_DEFINITION = 720
 
-# The light of diffuse white, as a share of the signal's peak: of 1000 cd/m2 by HLG and of 10,000 cd/m2 by PQ
-# (ITU-R BT.2408, 203 cd/m2, in scene light for HLG).
+# The light of diffuse white, 203 cd/m2, as a share of the signal's peak (ITU-R BT.2408). The peak is 1000 cd/m2 in HLG,
+# where the share is of scene light, and 10,000 cd/m2 in PQ.
 _HLG_WHITE = 0.265
 _PQ_WHITE = 0.0203
 

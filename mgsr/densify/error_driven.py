@@ -24,9 +24,12 @@ from mgsr.gaussians.gaussians import GaussianModel
 class ViewResidual:
     """The residual of a training view's rendering.
 
-    residual [H,W,3]: the photograph less the rendering, sRGB, on one background; base [H,W,3]: the rendering of the
-    Gaussians' own colours, without reflected light and under even light; depth [H,W]: camera z; alpha [H,W]. Where the
-    photograph is not valid, residual and alpha are 0.
+    residual [H,W,3]: the photograph minus the rendering, sRGB, on the same background.
+    base [H,W,3]: the rendering of the Gaussians' own colours, without reflected light and under even light.
+    depth [H,W]: camera z.
+    alpha [H,W]: the rendered alpha.
+
+    At invalid pixels of the photograph, residual and alpha are 0.
     """
 
     camera: Camera
@@ -40,8 +43,10 @@ class ViewResidual:
 class NewPoints:
     """The points at which Gaussians are added.
 
-    positions [M,3] in the scene's frame; sizes [M]: a pixel's side there, in the scene's unit; colors [M,3], sRGB 0..1;
-    residual [M,3]: the photograph less the rendering there.
+    positions [M,3]: in the scene's frame.
+    sizes [M]: the side of a pixel at the point, in the scene's unit.
+    colors [M,3]: sRGB 0..1.
+    residual [M,3]: the photograph minus the rendering at the point.
     """
 
     positions: Tensor

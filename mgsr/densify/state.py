@@ -33,10 +33,12 @@ class DensifyState:
     ) -> None:
         """Add one image's gradients.
 
-        v_means2d [N,2]: of the loss, per pixel of the projected centres; counted per half image side as 3DGS does,
-        so that a threshold holds for images of any size. radii [N]: 0 where a splat was not seen. weight: the
-        branch's weight in the loss, divided out so that the threshold means the same alone and in the mutual phase.
-        bad [] bool, on a card: whether the gradients count as zero.
+        v_means2d [N,2]: the gradients of the loss by the projected centres, per pixel. They are converted to gradients
+        per half image side, as in 3DGS, so that a threshold holds for images of any size.
+        radii [N]: 0 for an invisible splat.
+        weight: the branch's weight in the loss. It is divided out, so that the threshold has the same meaning in the
+        warm-up and in the mutual phase.
+        bad [] bool, on a card: whether to treat the gradients as zero.
         """
         scale = (0.5 * width / weight, 0.5 * height / weight)
         gather_gradients(self.gradient_sum, self.seen, v_means2d, radii, scale, bad)

@@ -1,9 +1,9 @@
 """Splats as PlayCanvas's compressed PLY, which SuperSplat and others read: 16 bytes a splat and one a coefficient.
 
-Source: PlayCanvas's documentation of the format. Chunks of 256 splats have ranges. A splat has its position, scale and
-colour within them in 32 bits each (11, 10, 11 bits; colour and opacity 8 each), and its quaternion's three smaller
-parts in 10 bits. The format has no place for the light split's reflected half. A comment names the origin of the
-positions where that is not the frame's (`ply_notes.py`).
+Source: PlayCanvas's documentation of the format. Each chunk of 256 splats has ranges of values. Within these, a splat
+has 32 bits each for its position and its scale (11, 10, 11 bits), and for its colour with opacity (8 bits each). The
+three smaller parts of its quaternion have 10 bits each. The format has no place for the light split's reflected half. A
+comment names the origin of the positions, if it is not the frame's (`ply_notes.py`).
 """
 
 from __future__ import annotations

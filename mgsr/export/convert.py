@@ -30,15 +30,14 @@ FILE_SUFFIXES = tuple(dict.fromkeys((*_SPLATS, *_MESHES)))
 
 
 def convert(source: Path, target: Path, scale: float = 1.0, up: UpAxis | None = None) -> str:
-    """Convert `source` to `target`, of the kind that its name says, and return a one-line summary.
+    """Convert `source` to `target`, whose name gives its format, and return a one-line summary.
 
-    Meshes: .ply, .glb, .obj. Splats: .ply, .compressed.ply, .spz. scale: factor of all lengths. up: which axis of a
-    mesh's frame points up, for .glb, which wants y; y unless given.
+    Meshes: .ply, .glb, .obj. Splats: .ply, .compressed.ply, .spz. scale: the factor on all lengths. up: the axis of a
+    mesh's frame that points up, because .glb needs y up; y by default. Splats keep the origin that their file names.
+    Splats far from the frame's origin get an origin near them (`origin_near`).
 
-    Raises the errors of `require_kinds`, ConfigError for a scale that is not a number above 0, and SceneError and
-    MeshError for unreadable files and for content that `target` can't hold.
-
-    Splats keep the origin that their file names; far from the frame's, they get one (`origin_near`).
+    Raises the errors of `require_kinds`, and ConfigError for a scale that is not a number above 0. Raises SceneError
+    and MeshError for unreadable files, and for content that `target` can't hold.
     """
     require_kinds(source, target, up)
     if not (math.isfinite(scale) and scale > 0):

@@ -1,16 +1,16 @@
 """`mirrored_light.npz`: the environment maps that the surface reflects, which all splats share.
 
-`scene` and `camera`, [S,S,3] float32, colours 0..1 as in the images: maps of the light from each direction. The first
-is fixed in the scene (the user's axes), the second to the camera (OpenCV axes with z reversed, so that its centre
-points back to the camera). Each unfolds the directions' octahedron |x|+|y|+|z| = 1 into a square: a direction with z >=
-0 lies at column (x+1)/2 and row (y+1)/2 of the side, others folded out over the corners. A render of the 3D branch is
+`scene` and `camera`, [S,S,3] float32, are maps of the light from each direction, with colours 0..1 as in the images.
+`scene` has the user's axes. `camera` has OpenCV's axes with z reversed, so that its centre points back to the camera.
+Each map unfolds the octahedron |x|+|y|+|z| = 1 of the directions into a square. A direction with z >= 0 lies at column
+(x+1)/2 and row (y+1)/2 of the side. Other directions are folded out over the corners. A render of the 3D branch is
 
     transmitted + weight x (reflected + scene[where the surface reflects to] + camera[where it reflects to]).
 
 The surface that reflects is the mesh of `vertices` [V,3] and `faces` [F,3], in the user's frame. Where the reflected
 ray meets the mesh again, it is reflected once more, and both maps' light is multiplied by `bounce` [3]. Without a mesh,
-the surface is the 2D branch's: its normals, blended in each pixel. Where the origin of the user's frame lies far away,
-there is also `origin` [3] (see `far_origin.py`): the vertices' places in the frame are `vertices` plus `origin`.
+the 2D branch reflects the maps by its normals, blended in each pixel. If the origin of the user's frame is far away,
+there is also `origin` [3] (see `far_origin.py`). The vertices' places in the frame are then `vertices` plus `origin`.
 """
 
 from __future__ import annotations

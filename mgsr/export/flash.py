@@ -2,16 +2,16 @@
 
 - `vertices` [V,3], `faces` [F,3]: the surface, in the user's frame.
 - `besides` [V]: the ambient light at each vertex, which does not come from the lamp.
-- `like` [V]: the proxy vertex from which each vertex takes position, normal and light. It is another one where
-  photographs do not confirm its own.
-- `lamp` [3]: how far the lamp is to the right of the lens and below it, in the user's unit, and the light that it sends
-  to a surface that faces it at a distance of 1.
+- `like` [V]: the index of the proxy vertex from which each vertex takes position, normal and light. It is another
+  vertex where no photograph confirms the vertex itself.
+- `lamp` [3]: the lamp's offset to the right of the lens and its offset below the lens, in the user's unit, and its
+  irradiance on a surface that faces it at a distance of 1.
 
-Light is a share of the brightest in the photographs. The splats' transmitted colours are those under even light. In a
-pixel that gets the light l, the transmitted colour c, in sRGB, becomes (c + 0.055) l^(1/2.4) - 0.055.
+Light is relative to the brightest light in the photographs. The splats' transmitted colours are those under even light.
+In a pixel with the light l, the transmitted colour c, in sRGB, becomes (c + 0.055) l^(1/2.4) - 0.055.
 
-Where the origin of the user's frame lies far away, there is also `origin` [3] (see `far_origin.py`): the vertices'
-places in the frame are `vertices` plus `origin`.
+If the origin of the user's frame is far away, there is also `origin` [3] (see `far_origin.py`). The vertices' places in
+the frame are then `vertices` plus `origin`.
 """
 
 from __future__ import annotations

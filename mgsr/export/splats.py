@@ -1,14 +1,20 @@
 """Read and write splats as PLY in the layout that splat viewers read.
 
-Properties, all float: x y z; nx ny nz (a surfel's unit normal, which is its rotation's third column; 0 for the 3D
-branch); f_dc_0..2, the constant colour coefficients; f_rest_0..44, the other coefficients, all of red, then green, then
-blue, padded with zeros to degree 3 because some viewers expect that many; opacity (logit); scale_0..2 (log); rot_0..3
-(wxyz).
+All properties are float:
 
-Surfels have their third scale at SURFEL_THICKNESS of the frame's unit ball. A 3D branch with the light split appends
-refl_opacity (logit), refl_weight (beta's logit) and refl_dc_0..2, refl_rest_0.. (ordered as above, unpadded); viewers
-skip them and show the transmitted half. Comments tell the kind, how many coefficients are real, the 3D branch's
-low-pass, and the origin of the positions where that is not the frame's (`ply_notes.py`).
+- x y z: the position.
+- nx ny nz: a surfel's unit normal, which is the third column of its rotation; 0 for the 3D branch.
+- f_dc_0..2: the constant colour coefficients.
+- f_rest_0..44: the other coefficients, all of red, then green, then blue. They are padded with zeros to degree 3,
+  because some viewers expect that number.
+- opacity: a logit.
+- scale_0..2: logarithms. The third scale of surfels is SURFEL_THICKNESS in the frame's unit ball.
+- rot_0..3: the quaternion, wxyz.
+
+A 3D branch with the light split appends refl_opacity (logit), refl_weight (beta's logit), refl_dc_0..2 and
+refl_rest_0.. (in the same order, unpadded). Viewers skip these and show the transmitted half. Comments give the kind of
+splats, the number of real coefficients and the 3D branch's low-pass. They also give the origin of the positions, if it
+is not the frame's (`ply_notes.py`).
 """
 
 from __future__ import annotations
@@ -54,12 +60,17 @@ def write_splats(
     """Write splats as a PLY.
 
     splats, float32 in the scene's frame: means [N,3], quats [N,4] wxyz, log_scales [N,3] or [N,2] (surfels),
-    opacity_logits [N], sh [N,K,3] with K 1, 4, 9 or 16; with the light split also refl_opacity_logits [N],
-    weight_logits [N], refl_sh [N,K',3]. file_from_scene maps positions to those in the file; without it they stay. The
-    header states the rest: unit, the factor of the user's lengths; low_pass, px^2, of the 3D branch (see
-    `GaussianModel`); origin [3], in the file's unit, the origin of the file's positions, None for the frame's own.
+    opacity_logits [N], sh [N,K,3] with K 1, 4, 9 or 16. With the light split also refl_opacity_logits [N],
+    weight_logits [N], refl_sh [N,K',3].
+    file_from_scene: maps positions to those in the file; None keeps them.
 
-    Raises SceneError for arrays that are missing, not known or of the wrong shape.
+    The header contains the other arguments:
+
+    unit: the factor on the user's lengths.
+    low_pass: px^2, of the 3D branch (see `GaussianModel`).
+    origin [3]: the origin of the file's positions, in the file's unit; None is the frame's own.
+
+    Raises SceneError for arrays that are missing, unknown or of the wrong shape.
     """
     _check(splats, "splats")
     columns = _columns(splats, file_from_scene or Similarity())

@@ -1,19 +1,20 @@
 """Splats as SPZ, Niantic's packed format: about a tenth of the PLY's size, with hardly visible rounding.
 
-The file is the gzip of a 16-byte header and these arrays of bytes: positions as 24-bit fixed point, opacities, colours,
-log scales in sixteenths, quaternions, and higher colour coefficients with 5 bits in the first degree and 4 in the
-others. Version 2 keeps x, y, z of the quaternion with w >= 0, version 3 the three smaller parts in ten bits each.
-Source: the README of Niantic's spz, versions 2 and 3.
+The file is the gzip of a 16-byte header and arrays of bytes. These are positions as 24-bit fixed point, opacities,
+colours, log scales in sixteenths, quaternions, and higher colour coefficients. The coefficients have 5 bits in the
+first degree and 4 in the others. Version 2 stores x, y, z of the quaternion with w >= 0. Version 3 stores the three
+smaller parts in ten bits each. Source: the README of Niantic's spz, versions 2 and 3.
 
 The format has y up and z backwards where splat PLYs have y down and z forward. All data therefore turns by half a turn
 about x, as in Niantic's own converter. The format has no place for reflected light.
 
-It has no place for notes either. Where positions are about another origin than the frame's, the comment of the gzip
-header (RFC 1952, section 2.3), which decoders skip, names it as PLYs do (`ply_notes.py`): "mgsr origin X Y Z", in the
-axes of splat PLYs.
+The format has no place for notes either. If positions are relative to another origin than the frame's, the comment of
+the gzip header names it (RFC 1952, section 2.3); decoders skip this comment. Like the note in PLYs (`ply_notes.py`), it
+is "mgsr origin X Y Z", in the axes of splat PLYs.
 
-MGSR writes version 2, which more programs read. Its w, which follows from bytes, is up to 10 degrees off near 0. An
-ellipsoid stays the same if its axes are relabelled, so the labels that make w largest are used (`_least_turned`).
+MGSR writes version 2, which more programs read. Readers compute w from the rounded x, y, z, so the rotation errs by up
+to 10 degrees if w is near 0. An ellipsoid stays the same if its axes are relabelled, so the labels that make w largest
+are used (`_least_turned`).
 """
 
 from __future__ import annotations

@@ -16,8 +16,9 @@ from mgsr.ops.activations import shares
 class RenderedMap:
     """An environment map as it is rendered, all values 0..1.
 
-    texels [2,S,S,3]: the light from each direction, of the scene's map and of the camera's; bounce [1,3]: the share of
-    the light that a second bounce keeps.
+    texels [2,S,S,3]: the light from each direction, in the map that is fixed in the scene and in the map that moves
+    with the camera.
+    bounce [1,3]: the share of the light that a second bounce keeps.
     """
 
     texels: Tensor

@@ -16,10 +16,12 @@ from mgsr.ops.harmonics import harmonics_to_rgb
 class GaussianModel:
     """N Gaussians, as stored: float32, in the scene's frame.
 
-    means [N,3]; quats [N,4] wxyz, normalised where used; log_scales [N,3]; opacity_logits [N] and sh [N,K,3] of the
-    transmitted colour. With the light split also refl_opacity_logits [N], weight_logits [N] (beta: how much of the
-    reflected colour is added) and refl_sh [N,K',3]; without it these three are None.
-
+    means [N,3]: the centres.
+    quats [N,4]: wxyz, normalised when used.
+    log_scales [N,3].
+    opacity_logits [N], sh [N,K,3]: the opacity and the coefficients of the transmitted colour.
+    refl_opacity_logits [N], weight_logits [N], refl_sh [N,K',3]: the opacity of the reflected colour, its weight beta,
+    and its coefficients; all None without the light split.
     low_pass: px^2, added to the variance of each footprint in an image, in training as in rendering.
     """
 

@@ -16,8 +16,11 @@ from mgsr.ops.harmonics import harmonics_to_rgb
 class SurfelModel:
     """N surfels, as stored: float32, in the scene's frame.
 
-    means [N,3] centres; quats [N,4] wxyz, normalised where used: the columns of the rotation are the two tangents and
-    the normal; log_scales [N,2] along the tangents; opacity_logits [N]; sh [N,K,3] colour coefficients.
+    means [N,3]: the centres.
+    quats [N,4]: wxyz, normalised when used. The columns of the rotation are the two tangents and the normal.
+    log_scales [N,2]: along the tangents.
+    opacity_logits [N].
+    sh [N,K,3]: the colour coefficients.
     """
 
     means: Tensor

@@ -18,8 +18,8 @@ def bilateral_normal_filter(mesh: Mesh, angle: float, options: BilateralOptions 
     times as much hardly counts, so creases stay. A face's neighbours are the faces that share a vertex with it.
     Vertices whose move would fold a face stay in place.
 
-    Sources: Zheng, Fu, Au and Tai, Bilateral Normal Filtering for Mesh Denoising (2011), for the filter; Sun, Rosin,
-    Martin and Langbein, Fast and Effective Feature-Preserving Mesh Denoising (2007), for the vertex update.
+    Source of the filter: Zheng, Fu, Au and Tai, Bilateral Normal Filtering for Mesh Denoising (2011). Source of the
+    vertex update: Sun, Rosin, Martin and Langbein, Fast and Effective Feature-Preserving Mesh Denoising (2007).
     """
     faces = mesh.faces
     if len(faces) == 0:

@@ -56,10 +56,10 @@ def integrate_normals(
     """Return the displacements [V] along a mesh's normals that turn its edges towards target normals (Nehab 2005).
 
     The result x minimises the sum over the vertices of prior_weight (x - prior)^2, plus strength times the sum over the
-    edges of confidence (t - c)^2. Here t is the component of the moved edge along its mean target normal, and c that of
-    the edge before the move along its mean current normal. So edges turn by the same angle as the normals. To demand
-    t = 0 would bend surfaces whose normals are right: an edge between a flat and a round part is not perpendicular to
-    its mean normal.
+    edges of confidence (t - c)^2. Here t is the component of the moved edge along its mean target normal. c is the
+    component of the original edge along its mean current normal. So edges turn by the same angle as the normals. With
+    t = 0 as the aim, surfaces with correct normals would bend, because an edge between a flat and a round part is not
+    perpendicular to its mean normal.
 
     target [V,3]: the target unit normals. confidence [V] in 0..1: of the target normals; an edge takes the lower
     confidence of its two ends. prior [V]: the prior displacements, in the vertices' unit. prior_weight [V]: their

@@ -31,8 +31,9 @@ class Samples:
 class TrueSurface:
     """The true surface in the user's frame.
 
-    labelled: samples of it; view_counts [P]: how many training views see each sample; radius of the bounding sphere
-    about the middle of the box, the unit of all distances.
+    labelled: samples of the surface.
+    view_counts [P]: the number of training views that see each sample.
+    radius: the radius of the bounding sphere around the middle of the bounding box, the unit of all distances.
     """
 
     mesh: Mesh

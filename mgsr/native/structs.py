@@ -105,8 +105,12 @@ class SurfelGradients(NamedTuple):
 class GaussianSplats(NamedTuple):
     """3D Gaussians and the background behind them.
 
-    means [N,3] world; quats [N,4] wxyz; scales [N,3] world units; opacities [N]; colors [N,3]; refl_opacities [N],
-    refl_colors [N,3] and weights [N]: the reflected part, all None for a single opacity; background [3].
+    means [N,3]: in the world frame.
+    quats [N,4]: wxyz.
+    scales [N,3]: world units.
+    opacities [N], colors [N,3].
+    refl_opacities [N], refl_colors [N,3], weights [N]: the reflected part, all None for a single opacity.
+    background [3].
     """
 
     means: Tensor
@@ -184,8 +188,10 @@ class Harmonics(NamedTuple):
 class EnvironmentMapLookup(NamedTuple):
     """A look-up of environment maps along the rays that normals reflect.
 
-    maps [2,S,S,3]; normals [H,W,3] world; pixels [P] int64: row * width + column of the pixels to compute, None for
-    all; camera: of the image.
+    maps [2,S,S,3].
+    normals [H,W,3]: in the world frame.
+    pixels [P] int64: row * width + column of the pixels to compute, None for all.
+    camera: the image's camera.
     """
 
     maps: Tensor
@@ -197,8 +203,11 @@ class EnvironmentMapLookup(NamedTuple):
 class ImagePair(NamedTuple):
     """An image and the target of its loss, with the options of `mgsr.ops.image_loss.image_loss_term`.
 
-    image, target [H,W,3]; mask [H,W] or None; l1_weight 0..1; clip: whether image values above 1 count as 1; region:
-    (y0, y1, x0, x1), ends excluded, outside of which image and target are equal.
+    image, target [H,W,3].
+    mask [H,W]: or None.
+    l1_weight: 0..1.
+    clip: whether image values above 1 count as 1.
+    region: (y0, y1, x0, x1), ends excluded; image and target are equal outside.
     """
 
     image: Tensor

@@ -47,12 +47,13 @@ class FusedAdam:
     params: name to leaf tensor [N, ...], float32, on one device; all have the same N. `params` of the object holds the
         current ones; `keep` and `extend` replace them by new leaves (shared with whoever reads `params`).
     lrs: name to learning rate, one for each parameter.
-    lr_scales: name to tensor of the shape of a row [...], multiplies the rate of each column; for spherical
-        harmonics, [K, 3] with 1 for the first band and 1/20 for the others.
+    lr_scales: name to tensor [...] of the shape of a row, the factor on the rate of each column. For spherical
+        harmonics it is [K, 3], with 1 for the first band and 1/20 for the others.
     betas, epsilon: as in the paper; 1e-15 suits gradients as small as those of splats.
 
     A parameter without a gradient keeps its values and its step count. New rows start with zero moments and
-    share the step count of the old ones. A NaN gradient makes its own number NaN. Same bytes for any thread count.
+    share the step count of the old ones. A NaN gradient makes its own number NaN. The result has the same bytes for
+    any thread count.
     """
 
     def __init__(

@@ -35,8 +35,10 @@ class Reflected(NamedTuple):
 class GaussianOptions:
     """The options of the rasterizer of 3D Gaussians.
 
-    near: camera units, splats nearer are left out; low_pass: px^2 added to each projected covariance; compensate: lower
-    the opacity to compensate for the low-pass, so that zooming out preserves energy; depth: whether to render depth.
+    near: camera units; nearer splats are left out.
+    low_pass: px^2, added to each projected covariance.
+    compensate: whether to lower the opacity to compensate for the low-pass, so that zooming out preserves energy.
+    depth: whether to render depth.
     """
 
     near: float = 0.01
@@ -49,8 +51,10 @@ class GaussianOptions:
 class GaussianRaster:
     """The images of a rendering of 3D Gaussians.
 
-    color [H,W,3]: transmitted light over the background; alpha [H,W]: 1 - transmittance; depth [H,W]: mean camera z, 0
-    where nothing is, or None; reflected [H,W,3] and weight [H,W]: None for single opacity.
+    color [H,W,3]: transmitted light over the background.
+    alpha [H,W]: 1 - transmittance.
+    depth [H,W]: mean camera z, 0 without splats; None if it was not asked for.
+    reflected [H,W,3], weight [H,W]: None for a single opacity.
     """
 
     color: Tensor
@@ -74,10 +78,14 @@ def rasterize_gaussians(
 ) -> GaussianRaster:
     """Blend Gaussians front to back into images; gradients flow to all splat tensors.
 
-    means [N,3] world; quats [N,4] wxyz, any length but zero; scales [N,3] world units, linear; opacities [N] in
-    [0,1]; colors [N,3]; background [3]. A splat with a non-finite value is left out. alpha =
-    min(0.999, opacity * G) counts from 1/255; a pixel stops before the splat that would leave a transmittance under
-    1e-4 (for each of the two opacities on its own).
+    means [N,3]: in the world frame.
+    quats [N,4]: wxyz, any length but zero.
+    scales [N,3]: world units, linear.
+    opacities [N]: in [0,1].
+    colors [N,3], background [3].
+
+    A splat with a non-finite value is left out. alpha = min(0.999, opacity * G) counts from 1/255. A pixel stops before
+    the splat that would leave a transmittance under 1e-4, separately for each of the two opacities.
 
     Raises TensorError for a wrong shape or dtype. Source: supplement, Eq. 16-19; method.md "3D branch".
     """

@@ -22,8 +22,11 @@ def composite(
 ) -> tuple[Tensor, Tensor, Tensor | None]:
     """Composite a photograph in bytes on a colour: color [H,W,3], alpha [H,W] in 0..1, and off_edge [H,W], 0 or 1.
 
-    image [H,W,3] uint8, straight colours; mask [H,W] uint8; background [3]; off_edge [H,W] bool; region (y0, y1, x0,
-    x1), ends excluded: the mask is 0 outside.
+    image [H,W,3]: uint8, straight colours.
+    mask [H,W]: uint8.
+    background [3].
+    off_edge [H,W]: bool.
+    region: (y0, y1, x0, x1), ends excluded; the mask is 0 outside.
     """
     height, width = mask.shape
     launcher = launcher_for(background)
@@ -58,8 +61,11 @@ def covered(alpha: Tensor, mask: Tensor | None = None) -> Tensor:
 def silhouette_term(alpha: Tensor, mask: Tensor, weights: Tensor | None = None, entropy: bool = False) -> Term:
     """Return the mean over all pixels of |alpha - mask|, or with `entropy` of the cross entropy.
 
-    alpha [H,W] in 0..1, gradients flow, kept 1e-4 from 0 and 1 in the cross entropy; mask [H,W] in 0..1; weights [H,W]
-    multiply both before they are compared. Raises TensorError for wrong shapes or dtypes.
+    alpha [H,W]: in 0..1; gradients flow. The cross entropy clips it to 1e-4..1 - 1e-4.
+    mask [H,W]: in 0..1.
+    weights [H,W]: factors on both before they are compared.
+
+    Raises TensorError for wrong shapes or dtypes.
     """
     check_tensors(alpha=(alpha, "H W"), mask=(mask, "H W"), weights=(weights, "? H W"))
     own, other, by = plain(alpha), plain(mask), None if weights is None else plain(weights)

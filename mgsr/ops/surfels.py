@@ -22,9 +22,10 @@ from mgsr.ops.raster import Rasterize, SplatStats
 class SurfelOptions:
     """The options of the surfel rasterizer.
 
-    near: camera units; nearer splat centres and nearer hits are culled; far: camera units; near and far normalise the
-    distortion's depths, and far culls nothing; low_pass: px^2, variance of the floor around the projected centre;
-    distortion: whether to render it.
+    near: camera units; nearer splat centres and nearer hits are culled.
+    far: camera units; near and far normalise the distortion's depths, and far culls nothing.
+    low_pass: px^2, the variance of the least footprint around the projected centre.
+    distortion: whether to render the distortion.
 
     The low-pass of 2DGS is 0.5 px^2. It widens silhouettes, and training compensates by a smaller object. The default
     is close to a pixel's own variance of 1/12.
@@ -40,11 +41,13 @@ class SurfelOptions:
 class SurfelRaster:
     """The images of a surfel rendering.
 
-    color [H,W,3]: over the background. alpha [H,W]: 1 - transmittance. depth [H,W]: mean camera z, 0 where nothing is.
-    median_depth [H,W]: camera z of the splat at which transmittance falls through 1/2, 0 where it does not. normal
-    [H,W,3]: world frame, towards the camera, sum of alpha T n, not renormalised. distortion [H,W]: sum over pairs of
-    splats (each pair once) of w_i w_j (m_i - m_j)^2 with w = alpha T and m = (z - near) / (far - near), or None where
-    not asked for.
+    color [H,W,3]: over the background.
+    alpha [H,W]: 1 - transmittance.
+    depth [H,W]: mean camera z, 0 without splats.
+    median_depth [H,W]: camera z of the splat at which transmittance falls through 1/2; 0 if it stays above.
+    normal [H,W,3]: world frame, towards the camera, the sum of alpha T n, not renormalised.
+    distortion [H,W]: the sum over pairs of splats (each pair once) of w_i w_j (m_i - m_j)^2, with w = alpha T and
+    m = (z - near) / (far - near); None if it was not asked for.
     """
 
     color: Tensor
@@ -68,15 +71,20 @@ def rasterize_surfels(
 ) -> SurfelRaster:
     """Blend surfels front to back into images; gradients flow to all splat tensors and to the background.
 
-    means [N,3] world; quats [N,4] wxyz, any length but zero: the first two columns of their rotation are the surfel's
-    tangents, the third its normal; scales [N,2] world units, linear, > 0; opacities [N] in [0,1]; colors [N,3];
-    background [3]. A splat with a non-finite value is left out. Splats are sorted by the camera z of their centres.
+    means [N,3]: in the world frame.
+    quats [N,4]: wxyz, any length but zero. The first two columns of their rotation are the surfel's tangents, the third
+    is its normal.
+    scales [N,2]: world units, linear, > 0.
+    opacities [N]: in [0,1].
+    colors [N,3], background [3].
 
-    The weight is the larger of exp(-(u^2 + v^2) / 2), at the point (u, v) where a pixel's ray meets the splat's plane
-    beyond `near`, and exp(-d^2 / (2 low_pass)) at d pixels from the projected centre, which has the centre's depth. A
-    plane seen under a sine below 1e-3 has only the latter. alpha = min(0.999, opacity * weight) counts from 1/255; a
-    pixel stops before the splat that would leave a transmittance under 1e-4. stats.v_means2d is the gradient to
-    moving a splat's weights in the image plane.
+    A splat with a non-finite value is left out. Splats are sorted by the camera z of their centres.
+
+    The weight of a splat at a pixel is the larger of two. The first is exp(-(u^2 + v^2) / 2) at the point (u, v) where
+    the pixel's ray meets the splat's plane beyond `near`. The second is exp(-d^2 / (2 low_pass)) at d pixels from the
+    projected centre, at the centre's depth. A plane seen under a sine below 1e-3 has only the second. alpha =
+    min(0.999, opacity * weight) counts from 1/255. A pixel stops before the splat that would leave a transmittance
+    under 1e-4. stats.v_means2d is the gradient with respect to a shift of a splat's weights in the image plane.
 
     Raises TensorError for a wrong shape or dtype, or for options without 0 < near < far and low_pass > 0.
     Source: 2DGS, Eq. 4-13; method.md "2D branch". Deviation: distortion squares differences of plain depth.

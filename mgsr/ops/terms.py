@@ -1,8 +1,8 @@
 """Loss terms with their derivatives, evaluated as one node of the graph.
 
-A term's kernel finds its value and its derivative for each image in one pass. They are scaled and added up only once,
-for all terms together: an image that five terms look at gets its gradient in one pass over it, and a training step has
-one node where it would have dozens.
+A term's kernel computes its value and its derivative for each image in one pass. Derivatives are scaled and added up
+once, for all terms together. An image that five terms use gets its gradient in one pass over it. A training step has
+one node in the graph instead of dozens.
 """
 
 from __future__ import annotations

@@ -26,8 +26,8 @@ class StageRun:
 class CurvePoint:
     """One row of the curve.
 
-    Seconds of training; PSNR in dB on views that no branch trains on, None without such views or for a branch that is
-    not there; splats in each branch.
+    It has the seconds of training, the PSNR of each branch on held-out views, and the number of splats of each branch.
+    A PSNR, dB, is None without such views or without the branch.
     """
 
     seconds: float

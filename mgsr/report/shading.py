@@ -40,8 +40,8 @@ class PaintedMesh(Mesh):
 class _Hits:
     """The hits of one camera's rays.
 
-    hit [H,W] bool: the rays that hit; of those, [P,3] each: points, face normals towards the camera, smooth normals on
-    their side, and colours (or None).
+    hit [H,W] bool: which rays hit. The other arrays [P,3] belong to the P hits: points, face normals towards the
+    camera, smooth normals on the same side, and colours (or None).
     """
 
     hit: np.ndarray

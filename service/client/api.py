@@ -1,7 +1,7 @@
-"""The service's addresses as method calls.
+"""The service's API as method calls.
 
-A server that is away for a while is asked again. A repeat submits nothing twice, as each submit carries an idempotency
-key. A large archive goes as a resumable upload (tus 1.0): a broken connection costs only what was on its way.
+Requests to an unavailable server are repeated. A repeat submits nothing twice, because each submit has an idempotency
+key. A large archive goes as a resumable upload (tus 1.0). A broken connection then costs only the bytes on their way.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from service.client.packing import packed
 from service.client.unfinished import UnfinishedUploads, fingerprint
 
 CHUNK = 1 << 18
-# An archive of more bytes goes in requests of so many: some proxies hold back a request until it is whole.
+# Larger archives go in requests of this size, because some proxies hold back a request until it is complete.
 REQUEST_BYTES = 32 << 20
 TRIES = 8
 _AGAIN = {429, 502, 503, 504}
@@ -41,7 +41,7 @@ def ignore(done: int, total: int) -> None:
 
 
 class _TransferCounter:
-    """Counts bytes, and tells how many there are."""
+    """A counter of transferred bytes, which reports their number."""
 
     def __init__(self, total: int, tell: Progress) -> None:
         self.done, self.total, self._tell = 0, total, tell
@@ -60,14 +60,15 @@ class ServiceRefusal(Exception):
 
 
 class DamagedDownload(Exception):
-    """A result file did not arrive as it was sent; the text says which."""
+    """A result file was damaged in transfer; the message names it."""
 
 
 class Client:
-    """One service. Use in `with`. Methods raise ServiceRefusal, and httpx.HTTPError where nobody answers for long.
+    """A client of one service. Use it in a `with` block.
 
-    unfinished: the folder for the addresses of interrupted uploads; the same submit continues them, in another program
-    too. Without it, an interrupted upload is deleted.
+    Its methods raise ServiceRefusal, and httpx.HTTPError if the service does not answer for long. unfinished: the
+    folder for the addresses of interrupted uploads, which the same submit continues, also in another program. Without
+    a folder, an interrupted upload is deleted.
     """
 
     def __init__(self, server: str, key: str | None = None, unfinished: Path | None = None) -> None:
@@ -88,14 +89,14 @@ class Client:
         self._http.close()
 
     def check(self) -> None:
-        """Check once that the service is there."""
+        """Check once that the service answers."""
         _check(self._http.get("/healthz", timeout=10.0))
 
     def submit(self, scene: Path, options: Mapping[str, Any], sent: Progress = ignore) -> Job:
         """Send a folder or an archive of photographs, or a video, and return the job.
 
-        options: as in `GET /options`. sent: told of the bytes sent so far and of all. Raises SetupError where there is
-        no scene.
+        options: as in `GET /options`. sent: receives the numbers of sent bytes and of all bytes. Raises SetupError if
+        there is no scene.
         """
         with packed(scene) as archive:
             counter = _TransferCounter(archive.stat().st_size, sent)
@@ -130,7 +131,7 @@ class Client:
         return self._finish(name, address, archive, counter, 0)
 
     def _resume(self, name: str, address: str, archive: Path, counter: _TransferCounter) -> Job | None:
-        """Continue an earlier upload and return its job; None where the service does not have it any more."""
+        """Continue an earlier upload and return its job; None if the service no longer has the upload."""
         try:
             try:
                 arrived = self._arrived(address)
@@ -145,7 +146,7 @@ class Client:
             return None
 
     def _finish(self, name: str, address: str, archive: Path, counter: _TransferCounter, arrived: int) -> Job:
-        """Send what is missing of an upload, and return its job. name: its fingerprint."""
+        """Send the missing bytes of an upload, and return its job. name: the upload's fingerprint."""
         try:
             self._send_parts(address, archive, counter, arrived)
             created: Job = _again(lambda: self._http.post(f"{address}/job")).json()
@@ -160,11 +161,11 @@ class Client:
         return created
 
     def _arrived(self, address: str) -> int:
-        """Return how many bytes of an upload the service has."""
+        """Return the number of bytes of an upload that the service has."""
         return int(_again(lambda: self._http.head(address, headers=_TUS)).headers["Upload-Offset"])
 
     def _send_parts(self, address: str, archive: Path, counter: _TransferCounter, arrived: int) -> None:
-        """Send an archive to an upload that has so many bytes, from where the service has it after each break."""
+        """Send the rest of an archive to an upload; after each break, continue where the service's bytes end."""
         failures = 0
         while arrived < counter.total:
             try:
@@ -206,7 +207,7 @@ class Client:
         return state
 
     def pin(self, job: str, pinned: bool = True) -> Job:
-        """Keep a job beyond the service's retention, or no longer."""
+        """Pin a job, so that it outlasts the service's retention, or unpin it."""
         method = "PUT" if pinned else "DELETE"
         state: Job = _again(lambda: self._http.request(method, f"/jobs/{job}/pin")).json()
         return state
@@ -224,7 +225,7 @@ class Client:
     def fetch(self, job: str, out: Path, got: Progress = ignore) -> list[Path]:
         """Fetch every result of a job into a folder, and return the files.
 
-        got: told of the bytes fetched so far and of all. Raises DamagedDownload.
+        got: receives the numbers of fetched bytes and of all bytes. Raises DamagedDownload.
         """
         artifacts = self.artifacts(job)
         counter = _TransferCounter(sum(artifact["size"] for artifact in artifacts), got)
@@ -233,9 +234,9 @@ class Client:
         return [out / artifact["name"] for artifact in artifacts]
 
     def download(self, job: str, artifact: dict[str, Any], path: Path, got: Callable[[int], None]) -> None:
-        """Write a result file to `path`, whole and checked, or not at all; a cut download resumes.
+        """Write a result file to `path` atomically, after its check; an interrupted download resumes.
 
-        got: told of each chunk's size. Raises DamagedDownload where the SHA-256 differs.
+        got: receives each chunk's size. Raises DamagedDownload if the SHA-256 differs.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(f".{path.name}.partial")
@@ -267,7 +268,7 @@ class Client:
             _append(_check(other), file, got)
 
     def follow(self, job: str) -> Iterator[Job]:
-        """Yield the job's fields as they change, the whole job last; resume if the connection ends."""
+        """Yield the job's changed fields, and the whole job last; resume if the connection ends."""
         last, known = "", self.job(job)
         yield known
         while known["status"] in ("queued", "running"):
@@ -286,7 +287,7 @@ class Client:
 
 
 def _events(lines: Iterator[str]) -> Iterator[tuple[str, Job]]:
-    """Yield id and data of each event that changes what is shown."""
+    """Yield id and data of each event that changes the displayed state."""
     number = kind = data = ""
     for line in lines:
         field, _, value = line.partition(": ")
@@ -303,7 +304,7 @@ def _events(lines: Iterator[str]) -> Iterator[tuple[str, Job]]:
 
 
 def _append(answer: httpx.Response, file: BinaryIO, got: Callable[[int], None]) -> None:
-    if answer.status_code != 206 and file.tell() > 0:  # the whole again, from someone who knows no ranges
+    if answer.status_code != 206 and file.tell() > 0:  # a server without ranges sends the whole file again
         got(-file.tell())
         file.seek(0)
         file.truncate()
@@ -318,7 +319,7 @@ def _pause(failures: int) -> float:
 
 
 def _again(send: Callable[[], httpx.Response]) -> httpx.Response:
-    """Return the answer, and ask again while the server is away or busy. Raises the last error."""
+    """Return the answer, and repeat the request while the server is unavailable or busy. Raises the last error."""
     for attempt in range(TRIES):
         try:
             answer = send()

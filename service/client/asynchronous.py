@@ -11,7 +11,10 @@ from service.client.api import Client, Job, Progress, ignore
 
 
 class AsyncClient:
-    """One service. Use in `async with`. Raises as Client does. Progress is told in the thread of the event loop.
+    """A client of one service. Use it in `async with`. It raises the errors of Client.
+
+    Progress callbacks run in the thread of the event loop.
+
 
     unfinished: as in Client.
     """
@@ -42,7 +45,7 @@ class AsyncClient:
         return await asyncio.to_thread(self._client.job, job)
 
     async def pin(self, job: str, pinned: bool = True) -> Job:
-        """Keep a job beyond the service's retention, or no longer."""
+        """Pin a job, so that it outlasts the service's retention, or unpin it."""
         return await asyncio.to_thread(self._client.pin, job, pinned)
 
     async def cancel(self, job: str) -> Job:
@@ -50,7 +53,7 @@ class AsyncClient:
         return await asyncio.to_thread(self._client.cancel, job)
 
     async def follow(self, job: str) -> AsyncIterator[Job]:
-        """Yield the job's fields as they change, the whole job last; resume if the connection ends."""
+        """Yield the job's changed fields, and the whole job last; resume if the connection ends."""
         states = self._client.follow(job)
         while (state := await asyncio.to_thread(next, states, None)) is not None:
             yield state
@@ -61,7 +64,7 @@ class AsyncClient:
 
 
 def _in_loop(tell: Progress) -> Callable[[int, int], None]:
-    """Return a function for other threads that has the event loop tell of progress."""
+    """Return a function for other threads that calls a progress callback in the event loop."""
     loop = asyncio.get_running_loop()
 
     def report(done: int, total: int) -> None:

@@ -1,4 +1,4 @@
-"""A scene as one file to send."""
+"""Packing of a scene into one file for an upload."""
 
 from __future__ import annotations
 

@@ -26,8 +26,8 @@ _NAMED = 3  # photographs that the line of a finding names
 def submit_scene(server: str, key: str | None, scene: Path, options: JobOptions, out: Path | None) -> int:
     """Send the scene and return the program's exit code.
 
-    With `out`, wait for the job and put its results there. Raises SetupError where the scene can't be sent or the
-    service refuses it.
+    With `out`, wait for the job and put its results there. Raises SetupError if the scene can't be sent or the service
+    refuses it.
     """
 
     def talk(client: Client, console: Console) -> int:
@@ -105,14 +105,14 @@ def _send(client: Client, scene: Path, options: JobOptions, console: Console) ->
 
 @contextmanager
 def _transfer(what: str, console: Console) -> Iterator[Callable[[int, int], None]]:
-    """Show the progress of a transfer; yield the function to be told of the bytes done and of all."""
+    """Show the progress of a transfer; yield a callback for the numbers of transferred bytes and of all bytes."""
     with Progress(TextColumn(what), BarColumn(), DownloadColumn(), console=console, transient=True) as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def _sent(job: Job, client: Client, server: str, out: Path | None, console: Console) -> int:
-    """Name a job that was sent, and with `out` wait for its results."""
+    """Print the name of a submitted job, and with `out` wait for its results."""
     console.print(f"job {job['id']}: {server.rstrip('/')}/jobs/{job['id']}", soft_wrap=True)
     return 0 if out is None else _wait(client, job["id"], out, console)
 

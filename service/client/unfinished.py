@@ -1,4 +1,4 @@
-"""Uploads that a program did not finish: a folder holds their addresses, so that a later program continues them."""
+"""The addresses of unfinished uploads, kept in a folder so that a later program can continue them."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def default_folder() -> Path:
 
 
 class UnfinishedUploads:
-    """The addresses of unfinished uploads by their fingerprints, a small file each.
+    """The addresses of unfinished uploads by their fingerprints, each in a small file.
 
-    folder: made when it is needed; None keeps nothing. A folder that can't be written costs resumption, not the upload.
+    folder: it is made when needed; None keeps nothing. If it can't be written, uploads work but can't be resumed.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -58,7 +58,7 @@ class UnfinishedUploads:
 
 
 def fingerprint(server: str, key: str | None, options: str, archive: Path) -> str:
-    """Return what tells an upload from others: the SHA-256 of service, key, options and the archive's bytes."""
+    """Return the fingerprint of an upload: the SHA-256 of service, key, options and the archive's bytes."""
     with archive.open("rb") as file:
         content = hashlib.file_digest(file, "sha256").hexdigest()
     return hashlib.sha256("\0".join([server, key or "", options, content]).encode()).hexdigest()

@@ -1,1 +1,1 @@
-"""What the service and the workers share: settings, records, the store, the queue. Nothing here knows HTTP or torch."""
+"""The code that service and workers share: settings, records, store and queue. It uses neither HTTP nor torch."""

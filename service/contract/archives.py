@@ -1,7 +1,7 @@
-"""Archives in the store: one object each, or a folder of parts, as a resumable upload leaves it.
+"""Archives in the store: each is one object, or the folder of parts that a resumable upload leaves.
 
-uploads/<job>.<upload>                     an archive that came in one request
-uploads/<job>.<upload>/<begin>.<random>    a part of one that came in several; begin: the place of its first byte
+uploads/<job>.<upload>                     an archive uploaded in one request
+uploads/<job>.<upload>/<begin>.<random>    a part of a resumable upload; begin: the offset of its first byte
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 from service.contract.store import Entry, Store
 
 FOLDER = "uploads"
-# An archive that no job names after so many seconds was cut off together with its service.
+# If no job names an archive after so many seconds, its service was killed during the upload.
 STALE_SECONDS = 6 * 3600.0
 _COPIES_AT_ONCE = 8
 
@@ -27,7 +27,7 @@ def archive_path(job: str, upload: str) -> str:
 
 
 def new_part(archive: str, begin: int) -> str:
-    """Return a key for a part whose first byte stands at `begin`. No two writers get the same one."""
+    """Return a key for a part whose first byte has the offset `begin`. Each call returns another key."""
     return f"{archive}/{begin:015d}.{secrets.token_hex(4)}"
 
 
@@ -40,8 +40,7 @@ class Archives:
     def parts(self, archive: str) -> list[Entry]:
         """Return the parts in their order, without gaps from byte 0 on; none for an archive of one object.
 
-        Of several parts that begin at the same byte, as a broken connection and its successor may write them, the
-        longest counts.
+        A broken connection and its successor may write parts that begin at the same byte. The longest of them counts.
         """
         longest: dict[int, Entry] = {}
         for entry in self._store.entries(archive):
@@ -55,7 +54,7 @@ class Archives:
         return found
 
     def download(self, archive: str, path: Path) -> None:
-        """Write an archive to a file. Raises StoreError where there is none."""
+        """Write an archive to a file. Raises StoreError if there is none."""
         self._store.download(path, *([part.key for part in self.parts(archive)] or [archive]))
 
     def copy(self, archive: str, target: str) -> bool:
@@ -73,7 +72,7 @@ class Archives:
         self._store.delete(archive)
 
     def sweep(self, wanted: Callable[[str], bool]) -> None:
-        """Delete stale archives, whole or not, that are not wanted; services that were killed left them."""
+        """Delete stale archives, complete or not, that are not wanted. Killed services have left them."""
         self._store.delete_unfinished(FOLDER, STALE_SECONDS)
         touched: dict[str, float] = defaultdict(float)
         for entry in self._store.entries(FOLDER):

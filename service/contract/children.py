@@ -14,18 +14,18 @@ from types import FrameType
 from service.contract.errors import SetupError
 
 RESTART_PAUSE = 0.5
-# So many deaths of one child within a minute mean that it can't live.
+# A child that dies so often within a minute is given up.
 MOST_DEATHS = 10
 LOOK = 0.2
 
 
 class Stop(Exception):
-    """The wish to end, raised by a signal."""
+    """A request to end, raised by a signal."""
 
 
 @dataclass
 class Child:
-    """One program. patience: seconds that it has to end when asked to."""
+    """A program that is kept running. patience: the seconds that it has to end when asked to."""
 
     name: str
     command: list[str]
@@ -35,12 +35,12 @@ class Child:
     deaths: list[float] = field(default_factory=list)
 
     def start(self) -> None:
-        """Start it, tied to this process and in a session of its own, so that Ctrl-C reaches this process alone."""
+        """Start it, tied to this process, in a separate session, so that Ctrl-C reaches this process alone."""
         tied = [sys.executable, "-m", "service.contract.lifeline", str(os.getpid()), *self.command]
         self.process = subprocess.Popen(tied, env=os.environ | self.environment, start_new_session=True)
 
     def revive(self) -> None:
-        """Start it again if it has died. Raises SetupError where it keeps dying."""
+        """Start it again if it has died. Raises SetupError if it keeps dying."""
         if self.process is None or self.process.poll() is None:
             return
         now = time.monotonic()
@@ -72,7 +72,7 @@ def stop_on_signals() -> None:
 
 
 def keep_alive(children: list[Child]) -> None:
-    """Restart any child that dies, until Stop. Raises SetupError where one keeps dying."""
+    """Restart any child that dies, until Stop. Raises SetupError if a child keeps dying."""
     while True:
         for child in children:
             child.revive()

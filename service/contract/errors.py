@@ -13,16 +13,16 @@ _EXTRAS = "fastapi uvicorn redis rq obstore pydantic_settings python_multipart p
 
 
 class SetupError(Exception):
-    """A setting or the machine lacks something; the text is for the user who starts the program, with the cure."""
+    """A setting is wrong, or the machine lacks something. The message tells the user of the program the remedy."""
 
 
 class StoreError(Exception):
-    """The store can't be reached, or refuses."""
+    """The store can't be reached, or refuses a request."""
 
 
 @contextmanager
 def refusals() -> Iterator[None]:
-    """End the program with exit code 2 and one message where it can't do what it was asked."""
+    """End the program with exit code 2 and one message for errors of setup, store and queue inside the block."""
     try:
         yield
     except (SetupError, StoreError) as error:

@@ -1,17 +1,17 @@
-"""Jobs as they lie in the store. The store is the truth: everything here survives the loss of Redis and of workers.
+"""Jobs in the store. The store is authoritative: everything here survives the loss of Redis and of workers.
 
-jobs/<id>/job.json                  what was asked for
-jobs/<id>/rounds/<r>                that round r was asked for (0, the submit, needs no mark; then the retries)
-jobs/<id>/pinned                    that the job stays, however long ago it ended
-jobs/<id>/cancels/<r>               that someone wants round r to stop
-jobs/<id>/outcomes/<r>.json         how round r ended; the first to write it wins
-jobs/<id>/attempts/<n>/start.json   a worker took up a round; beside it what it has made
-jobs/<id>/attempts/0/...            of a rerun: what it takes over from the earlier job's results
-jobs/<id>/attempts/<n>/end          that this attempt ended in good order, if without an outcome
+jobs/<id>/job.json                  the request
+jobs/<id>/rounds/<r>                mark: round r was requested (round 0, the submit, has no mark; others are retries)
+jobs/<id>/pinned                    mark: the job is never deleted by age
+jobs/<id>/cancels/<r>               mark: round r should stop
+jobs/<id>/outcomes/<r>.json         the outcome of round r; only the first write counts
+jobs/<id>/attempts/<n>/start.json   the start of attempt n by a worker; the attempt's results lie beside it
+jobs/<id>/attempts/0/...            for a rerun: the results that it takes from the earlier job
+jobs/<id>/attempts/<n>/end          mark: attempt n ended regularly, even without an outcome
 
-open/<id>.<r>                       that round r may have no outcome yet
-webhooks/<id>.<r>                   that the owner is still to be told of the outcome of round r
-owners/<owner>/<time>.<id>          each owner's jobs; the time runs backwards, so the newest sort first
+open/<id>.<r>                       mark: round r may have no outcome yet
+webhooks/<id>.<r>                   mark: the owner must still be notified of the outcome of round r
+owners/<owner>/<time>.<id>          each owner's jobs; the time is negated, so that the newest sort first
 uploads/<id>.<upload>               archives (archives.py)
 """
 
@@ -37,7 +37,7 @@ TAKEN_OVER = 0  # the attempt under which they lie
 
 @dataclass(frozen=True)
 class JobState:
-    """A job and where it stands as far as the store knows: status is None while only the queue can tell."""
+    """A job and its state according to the store. status is None while only the queue knows it."""
 
     record: JobRecord
     round: int
@@ -53,8 +53,8 @@ class Jobs:
         self.store, self.archives = store, Archives(store)
 
     def create(self, record: JobRecord) -> JobRecord:
-        """File a new job; return the job on file, which is the earlier one if the id exists."""
-        # Before the record: should this process die in between, recovery finds the job by this mark.
+        """File a new job; return the filed job, which is the earlier one if the id exists."""
+        # The mark is written before the record. If this process dies in between, recovery finds the job by the mark.
         self.mark_open(record.id, 0)
         if not self.store.create(_path(record.id, "job.json"), record.to_bytes()):
             existing = self.record(record.id)
@@ -64,7 +64,7 @@ class Jobs:
         return record
 
     def record(self, job: str) -> JobRecord | None:
-        """Return what was asked for, or None for an unknown id."""
+        """Return the job's record, or None for an unknown id."""
         data = self.store.read(_path(job, "job.json"))
         return None if data is None else JobRecord.model_validate_json(data)
 
@@ -79,25 +79,25 @@ class Jobs:
         return JobState(record, last, outcome, cancelling, self.store.read(_path(job, "pinned")) is not None)
 
     def last_round(self, job: str) -> int:
-        """Return the number of the last round that was asked for."""
+        """Return the number of the last requested round."""
         return max((int(name) for name in self.store.names(_path(job, "rounds"))), default=0)
 
     def outcome(self, job: str, number: int) -> Outcome | None:
-        """Return how a round ended, or None while it has not."""
+        """Return the outcome of a round, or None while it has not ended."""
         data = self.store.read(_path(job, f"outcomes/{number}.json"))
         return None if data is None else Outcome.model_validate_json(data)
 
     def finish(self, job: str, number: int, outcome: Outcome) -> bool:
-        """End a round and return True; return False, and do nothing, where it has ended already."""
+        """End a round and return True; if it has already ended, do nothing and return False."""
         record = self.record(job)
         if record is not None and record.options.webhook is not None:
-            self.store.replace(f"webhooks/{job}.{number}", b"")  # before the outcome, so that no death between loses it
+            self.store.replace(f"webhooks/{job}.{number}", b"")  # before the outcome: dying in between loses no message
         won = self.store.create(_path(job, f"outcomes/{number}.json"), outcome.to_bytes())
         self.store.delete(f"open/{job}.{number}")
         return won
 
     def untold_rounds(self) -> list[tuple[str, int]]:
-        """Return job and round of each end that an owner is still to be told of by webhook."""
+        """Return job and round of each end of which the owner must still be notified by webhook."""
         found = [name.partition(".") for name in self.store.names("webhooks")]
         return [(job, int(number)) for job, _, number in found]
 
@@ -110,7 +110,7 @@ class Jobs:
         self.store.replace(_path(job, f"cancels/{number}"), b"")
 
     def cancel_asked(self, job: str, number: int) -> bool:
-        """Return whether someone wants a round to stop."""
+        """Return whether a round should stop."""
         return self.store.read(_path(job, f"cancels/{number}")) is not None
 
     def ask_retry(self, job: str, number: int) -> None:
@@ -119,11 +119,11 @@ class Jobs:
         self.store.replace(_path(job, f"rounds/{number}"), b"")
 
     def cancel_now(self, job: str, number: int) -> bool:
-        """End a round that nobody works on as cancelled; return whether it was still open."""
+        """End a round as cancelled if no worker works on it; return whether it was still open."""
         return self.finish(job, number, Outcome(status=JobStatus.CANCELLED, attempt=None, finished=now()))
 
     def pin(self, job: str, pinned: bool) -> None:
-        """Note whether a job stays, however long ago it ended."""
+        """Pin a job, so that its age never deletes it, or unpin it."""
         if pinned:
             self.store.replace(_path(job, "pinned"), b"")
         else:
@@ -151,7 +151,7 @@ class Jobs:
                 self.store.copy(attempt_path(source, newest, result), attempt_path(job, TAKEN_OVER, result))
 
     def end_attempt(self, job: str, attempt: int) -> None:
-        """Note that an attempt without an outcome ended properly: it was handed back, not lost."""
+        """Note that an attempt ended regularly without an outcome, so that it does not count as lost."""
         self.store.replace(attempt_path(job, attempt, "end"), b"")
 
     def attempts(self, job: str) -> dict[int, AttemptStart]:
@@ -167,7 +167,7 @@ class Jobs:
         return sum(self.store.read(attempt_path(job, attempt, "end")) is None for attempt in started)
 
     def mark_open(self, job: str, number: int) -> None:
-        """Note that a round is to be worked on."""
+        """Mark a round as open."""
         self.store.replace(f"open/{job}.{number}", b"")
 
     def open_rounds(self) -> Iterator[tuple[str, int, float]]:
@@ -177,7 +177,7 @@ class Jobs:
             yield job, int(number), (now() - entry.modified).total_seconds()
 
     def open_of(self, owner: str) -> int:
-        """Return how many of an owner's jobs are queued or running."""
+        """Return the number of an owner's queued and running jobs."""
         return len({job for job, _, _ in self.open_rounds()}.intersection(self.owned(owner)))
 
     def index(self, record: JobRecord) -> None:
@@ -185,10 +185,10 @@ class Jobs:
         self.store.replace(_index_path(record), b"")
 
     def remove(self, record: JobRecord) -> None:
-        """Remove all that is kept of a job that has ended.
+        """Remove all files of a job that has ended.
 
-        First what is large, so that asking again ends a removal that was cut off; then the job itself. Its outcomes
-        come last, as without them it would count as open.
+        Large files are removed first, then the job itself. So another call completes an interrupted removal. The
+        outcomes are removed last, because without them the job would count as open.
         """
         self.archives.delete(record.archive)
         self.store.delete_all(_path(record.id, "attempts"))

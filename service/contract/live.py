@@ -1,4 +1,4 @@
-"""What is known of running jobs in Redis: leases, progress, events. It may all be lost: the store holds the truth."""
+"""The state of running jobs in Redis: leases, progress, events. It may be lost, because the store is authoritative."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from redis.typing import EncodableT, FieldT
 EVENTS_KEPT = 2000
 LIVE_SECONDS = 7 * 86400
 
-# One step each: between two, a lease could run out or change hands.
+# Each script is atomic. Between separate commands, a lease could run out or change its holder.
 _TAKE = """
 local holder = redis.call('get', KEYS[1])
 if holder and holder ~= ARGV[1] then return 0 end
@@ -42,7 +42,7 @@ def cancel_key(job: str, number: int) -> str:
 
 
 class Live:
-    """Writes and reads these keys. Every method raises redis.RedisError where the server doesn't answer."""
+    """Access to these keys. Every method raises redis.RedisError if the server doesn't answer."""
 
     def __init__(self, redis: Redis) -> None:
         self.redis = redis
@@ -73,17 +73,17 @@ class Live:
         return bool(self.redis.exists(cancel_key(job, number)))
 
     def progress(self, job: str) -> dict[str, Any]:
-        """Return what is known of the job's progress."""
+        """Return the job's last known progress."""
         found: dict[str, Any] = json.loads(self.redis.get(progress_key(job)) or "{}")
         return found
 
     def keep_progress(self, job: str, whole: dict[str, Any], change: dict[str, Any]) -> None:
-        """Keep the job's progress, and publish what has changed, except for the long curve."""
+        """Keep the job's progress, and publish the change without the long curve."""
         self.redis.set(progress_key(job), json.dumps(whole), ex=LIVE_SECONDS)
         self.publish(job, "progress", {name: value for name, value in change.items() if name != "curve"})
 
     def forget(self, job: str) -> None:
-        """Delete what is known of a removed job."""
+        """Delete the state of a removed job."""
         self.redis.delete(progress_key(job), events_key(job))
 
     def publish(self, job: str, kind: str, data: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""The queue: RQ with its JSON serializer and ids alone as arguments. recovery.py puts back what is lost here."""
+"""The queue: RQ with its JSON serializer, and only ids as arguments. recovery.py restores entries that are lost."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ANSWER_SECONDS = 5.0
 
 
 def connect(url: str) -> Redis:
-    """Return a client that gives up on a server that doesn't answer, instead of waiting forever."""
+    """Return a client with a time-out, so that a server that doesn't answer is not waited for forever."""
     retry = Retry(ExponentialBackoff(cap=0.5, base=0.05), 2)
     return Redis.from_url(
         url, socket_timeout=ANSWER_SECONDS, socket_connect_timeout=2.0, health_check_interval=15, retry=retry
@@ -29,13 +29,13 @@ def connect(url: str) -> Redis:
 def queue_for(options: JobOptions) -> str:
     """Return the name of a job's queue.
 
-    Jobs that ask for a card wait for a worker that has one; all others can go anywhere.
+    Jobs that ask for a card wait for a worker with a card. All others can go to any worker.
     """
     return GPU if options.device is Device.CUDA else CPU
 
 
 class JobQueue:
-    """Rounds of jobs that wait for a worker. Raises redis.RedisError where the server doesn't answer."""
+    """Rounds of jobs that wait for a worker. Its methods raise redis.RedisError if the server doesn't answer."""
 
     def __init__(self, redis: Redis) -> None:
         self._redis = redis
@@ -44,7 +44,7 @@ class JobQueue:
     def put(self, job: str, number: int, queue: str, first: bool = False) -> None:
         """Append a round, or put it first if it has waited before.
 
-        A round that stands in the queue twice is worked on once: leases ensure that.
+        Leases ensure that a round is worked on once, even if it is in the queue twice.
         """
         self.queues[queue].enqueue_call(
             TASK,

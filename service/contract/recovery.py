@@ -1,7 +1,7 @@
-"""Restore what was lost.
+"""Recovery of lost jobs.
 
-That is jobs whose worker died, whose place in the queue vanished with Redis, or whose service was killed between two
-steps of a submit. Every worker and every service runs this; a lock in Redis lets one at a time.
+A job is lost if its worker died, if its place in the queue vanished with Redis, or if its service was killed between
+two steps of a submit. Every worker and every service runs the recovery. A lock in Redis admits one at a time.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from service.contract.jobs import Jobs
 from service.contract.live import Live
 from service.contract.queue import JobQueue, queue_for
 
-PERIOD = 3.0  # seconds between two looks
-# A round must be seen without worker and place twice, so long apart: one that is just being dequeued, or whose worker
-# has not come back to a Redis that restarted, is left alone.
+PERIOD = 3.0  # seconds between two checks
+# A round is lost if two checks, so many seconds apart, find it without a worker and without a place in the queue. A
+# single check may see a round that is just being dequeued, or whose worker has not yet returned to a restarted Redis.
 GRACE = 6.0
 ABANDONED_SUBMIT = 3600.0
 SWEEP_PERIOD = 600.0
@@ -30,7 +30,7 @@ class Recovery:
         self._redis: Redis = live.redis
 
     def look(self) -> None:
-        """Repair what is broken, unless another process has just looked. Raises StoreError and redis.RedisError."""
+        """Recover lost rounds, unless another process has just checked. Raises StoreError and redis.RedisError."""
         if not self._redis.set("mgsr:recovery", 1, nx=True, px=round(PERIOD * 900)):
             return
         waiting = self.queue.waiting()

@@ -1,6 +1,6 @@
 """Uploads that arrive in several requests, until a job takes them.
 
-resumable/<owner>/<upload>.json    what is to arrive; its parts lie where the job's archive will be (archives.py)
+resumable/<owner>/<upload>.json    the upload's record; its parts lie at the place of the job's archive (archives.py)
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _ID = re.compile(r"[0-9a-f]{32}")
 
 
 class UploadRecord(Document):
-    """What is to arrive. size: in bytes; options: what the job should make of it, where that is known."""
+    """The record of an upload. size: the announced size in bytes. options: the job's options, if they are known."""
 
     id: str
     owner: str
@@ -31,7 +31,7 @@ class UploadRecord(Document):
 
     @property
     def job(self) -> str:
-        """Return the id of the job that takes it."""
+        """Return the id of the job that takes the upload."""
         return job_of(self.owner, self.id)
 
     @property
@@ -42,7 +42,7 @@ class UploadRecord(Document):
 
 @dataclass(frozen=True)
 class UploadState:
-    """An upload and how much of it, in bytes, has arrived. expires: when it is deleted, unless more arrives."""
+    """An upload and the number of bytes that have arrived. expires: when it is deleted, unless more arrives."""
 
     record: UploadRecord
     offset: int
@@ -55,12 +55,12 @@ class UploadState:
 
     @property
     def expired(self) -> bool:
-        """Return whether it waits for its deletion."""
+        """Return whether the upload has expired."""
         return now() > self.expires
 
 
 class ResumableUploads:
-    """The uploads of one store that no job has taken. lifetime: seconds from the last part to the deletion."""
+    """The uploads of one store that no job has taken yet. lifetime: seconds from the last part to the deletion."""
 
     def __init__(self, store: Store, lifetime: float) -> None:
         self._store, self._archives, self._lifetime = store, Archives(store), timedelta(seconds=lifetime)
@@ -90,7 +90,7 @@ class ResumableUploads:
         self._store.delete(_path(record.owner, record.id))
 
     def remove(self, record: UploadRecord) -> None:
-        """Delete an upload with all that has arrived of it."""
+        """Delete an upload and its bytes."""
         self._archives.delete(record.archive)
         self._store.delete(_path(record.owner, record.id))
 

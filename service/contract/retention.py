@@ -14,14 +14,14 @@ from service.contract.records import now
 
 
 def expiry(state: JobState, seconds: float | None) -> datetime | None:
-    """Return when a job goes; None for one that is open or pinned, or where there is no retention."""
+    """Return when a job is deleted; None for an open or a pinned job, and without a retention."""
     if seconds is None or state.outcome is None or state.pinned:
         return None
     return state.outcome.finished + timedelta(seconds=seconds)
 
 
 class Retention:
-    """Removes jobs so many seconds after their end."""
+    """The removal of jobs a certain time after their end."""
 
     def __init__(self, jobs: Jobs, seconds: float) -> None:
         self._jobs, self._seconds = jobs, seconds

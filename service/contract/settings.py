@@ -29,40 +29,40 @@ def machine_memory() -> int:
 
 
 class Settings(BaseSettings):
-    """Sizes are bytes and may carry a unit (8GiB); times are seconds."""
+    """The settings of service and worker. Sizes are in bytes and may have a unit (8GiB); times are in seconds."""
 
     model_config = SettingsConfigDict(env_prefix="MGSR_", frozen=True)
 
     home: Path = Field(default_factory=default_home)
-    redis_url: str | None = None  # none: `mgsr serve` starts a server of its own
-    store: str | None = None  # a folder or s3://bucket/prefix; none is home/store
-    scratch: Path | None = None  # where workers unpack and train; none is home/scratch
-    signed_urls: bool = True  # results in a bucket: send callers there (307), not the bytes through the service
-    allowed_hosts: str = ""  # host names, comma-separated, under which a service without keys may be addressed
+    redis_url: str | None = None  # the queue's server; none: `mgsr serve` starts one
+    store: str | None = None  # a folder or s3://bucket/prefix; none: home/store
+    scratch: Path | None = None  # the folder in which workers unpack and train; none: home/scratch
+    signed_urls: bool = True  # whether callers get results directly from a bucket (307), not through the service
+    allowed_hosts: str = ""  # comma-separated host names under which a service without keys may be addressed
 
     max_upload: ByteSize = ByteSize(8 * GIB)
-    upload_idle: float = 30.0  # without a byte, after which an upload is given up
-    upload_grace: float = 30.0  # before the rate is looked at
-    upload_rate: ByteSize = ByteSize(1024)  # bytes a second on average that an upload must reach
-    upload_lifetime: float = 24 * 3600.0  # of a resumable upload, from the last bytes that arrived
-    min_free_disk: ByteSize = ByteSize(GIB)  # left free, at a submit and during a run
-    max_open_jobs: int = 1000  # queued, running and being uploaded, of one owner
-    max_stored: ByteSize | None = None  # of one owner's jobs and uploads, with results; none: no limit
-    retention: float | None = Field(default=None, gt=0)  # from a job's end to its deletion; none: jobs stay
+    upload_idle: float = 30.0  # time without a byte after which an upload is stopped
+    upload_grace: float = 30.0  # time before the rate of an upload is checked
+    upload_rate: ByteSize = ByteSize(1024)  # least average rate of an upload, per second
+    upload_lifetime: float = 24 * 3600.0  # time from the last byte of a resumable upload to its deletion
+    min_free_disk: ByteSize = ByteSize(GIB)  # free space that a submit and a run must leave
+    max_open_jobs: int = 1000  # most jobs of one owner that are queued, running or being uploaded
+    max_stored: ByteSize | None = None  # most data of one owner's jobs and uploads, with results; none: no limit
+    retention: float | None = Field(default=None, gt=0)  # time from a job's end to its deletion; none: jobs stay
 
-    max_members: int = 20_000  # files in an archive
+    max_members: int = 20_000  # most files in an archive
     max_unpacked: ByteSize = ByteSize(32 * GIB)
-    max_ratio: float = 200.0  # unpacked against packed bytes of an archive, from 64 MiB on
-    max_pixels: int = 120_000_000  # of one image
+    max_ratio: float = 200.0  # largest ratio of an archive's unpacked to packed bytes, checked from 64 MiB on
+    max_pixels: int = 120_000_000  # most pixels of one image
 
-    job_deadline: float = 12 * 3600.0  # for jobs that name none, and the most that one may name
+    job_deadline: float = 12 * 3600.0  # the default deadline of a job, and the largest that a job may name
     job_memory: ByteSize = Field(default_factory=lambda: ByteSize(int(machine_memory() * 0.8)))
-    checkpoint_seconds: float = 20.0  # between two checkpoints
-    stop_grace: float = 20.0  # that a job has to write its checkpoint before it is killed
-    lease: float = 15.0  # after which a worker that says nothing counts as dead
-    max_attempts: int = 6  # that die, of one submit or retry, before the job counts as failed
+    checkpoint_seconds: float = 20.0  # time between two checkpoints
+    stop_grace: float = 20.0  # time in which a job must write its checkpoint before it is killed
+    lease: float = 15.0  # time after which a silent worker counts as dead
+    max_attempts: int = 6  # attempts of a submit or retry that may die before the job counts as failed
     webhook_private: bool = False  # whether webhooks may go to this machine and its network
-    publish_patience: float = 900.0  # that a worker tries to bring results to a store that doesn't answer
+    publish_patience: float = 900.0  # time for which a worker tries to send results to a store that doesn't answer
 
     def need_redis(self) -> str:
         """Return the queue server's address. Raises SetupError where none is set."""

@@ -31,7 +31,7 @@ class Entry:
 
 
 class Store:
-    """Objects by key. Every method raises StoreError where the store fails; objects appear whole or not at all."""
+    """Objects by key. Writes are atomic. Every method raises StoreError if the store fails."""
 
     def __init__(self, url: str, patience: float) -> None:
         """Open the store at `url`.
@@ -49,7 +49,7 @@ class Store:
             self._backend = LocalStore(self.folder)
 
     def read(self, key: str) -> bytes | None:
-        """Return the object, or None where there is none."""
+        """Return the object, or None if there is none."""
         with _failures(key):
             try:
                 return bytes(obstore.get(self._backend, key).bytes())
@@ -59,7 +59,7 @@ class Store:
     def create(self, key: str, data: bytes) -> bool:
         """Write an object that must not exist yet; return whether it now holds this data.
 
-        A request whose answer got lost is sent again and then finds its own object: that counts as created.
+        If the answer to a request gets lost, the repeated request finds its own object. That counts as created.
         """
         with _failures(key):
             try:
@@ -91,20 +91,20 @@ class Store:
                 return
 
     def delete_all(self, prefix: str) -> None:
-        """Delete every object under `prefix`; in a folder also what a killed process left half written there."""
+        """Delete every object under `prefix`; in a folder also the unfinished files of killed processes."""
         for entry in list(self.entries(prefix)):
             self.delete(entry.key)
         if self.folder is not None:
             shutil.rmtree(self.folder / prefix, ignore_errors=True)
 
     def delete_unfinished(self, prefix: str, age: float) -> None:
-        """Delete what killed processes left half written in a folder, if it is older than `age` seconds.
+        """Delete the unfinished files of killed processes in a folder, if they are older than `age` seconds.
 
-        A bucket has a lifecycle rule for it.
+        A bucket has a lifecycle rule for that.
         """
         if self.folder is None:
             return
-        for path in (self.folder / prefix).rglob("*#*"):  # so obstore names a file until it is whole
+        for path in (self.folder / prefix).rglob("*#*"):  # obstore's names of unfinished files
             with suppress(FileNotFoundError):
                 if time.time() - path.stat().st_mtime > age:
                     path.unlink()
@@ -125,7 +125,7 @@ class Store:
             obstore.put(self._backend, key, path, chunk_size=PART, max_concurrency=2)
 
     def download(self, path: Path, *keys: str) -> None:
-        """Write objects, one after another, to a file. Raises StoreError where one does not exist."""
+        """Write objects, one after another, to a file. Raises StoreError if one does not exist."""
         with open(path, "wb") as file:
             for key in keys:
                 with _failures(key):
@@ -150,14 +150,14 @@ class Store:
                 yield bytes(chunk)
 
     def signed_url(self, key: str) -> str | None:
-        """Return a URL from which anyone can get the object for a while; None where the store is a folder."""
+        """Return a URL from which anyone can get the object for a while; None if the store is a folder."""
         if not isinstance(self._backend, S3Store):
             return None
         with _failures(key):
             return str(obstore.sign(self._backend, "GET", key, timedelta(seconds=SIGNED_SECONDS)))
 
     def check(self) -> None:
-        """Raise StoreError unless the store answers."""
+        """Check that the store answers. Raises StoreError otherwise."""
         self.read("health")
 
 

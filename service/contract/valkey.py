@@ -42,7 +42,7 @@ loglevel warning
 
 @dataclass(frozen=True)
 class EmbeddedServer:
-    """How to start the server, and where it will listen."""
+    """The command that starts the server, and its address."""
 
     command: list[str]
     url: str
@@ -58,7 +58,7 @@ def prepare_server(home: Path) -> EmbeddedServer:
     socket, password = _socket_folder(folder) / "valkey.sock", secrets.token_urlsafe(24)
     config = folder / "valkey.conf"
     config.touch(mode=0o600)
-    # In the file, not on the command line, which every user of the machine can read.
+    # The password is in the file, because every user of the machine can read a command line.
     config.write_text(_CONFIG.format(socket=socket, password=password, folder=folder))
     return EmbeddedServer([_program(), str(config)], f"unix://:{password}@{socket}")
 

@@ -2,8 +2,8 @@
 
 COLMAP, VisualSFM, RealityCapture and others export it too.
 
-Source: Bundler's user manual, "Output format and scene representation": cameras look along -z with y up; pixels are
-counted from the image's middle; the radial terms act on x / z and y / z. Lists have a photograph on each line, in some
+Cameras look along -z with y up. Pixels are counted from the image's middle. The radial terms act on x / z and y / z.
+Source: Bundler's user manual, "Output format and scene representation". Lists have a photograph on each line, in some
 files with a zero and a focal length after it.
 """
 

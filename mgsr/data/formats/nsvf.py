@@ -1,9 +1,9 @@
 """NSVF's layout: intrinsics.txt, pose/*.txt and rgb/*; also that of SRN, DeepVoxels, NeRF++ and Plenoxels.
 
-Source: the README of NSVF (facebookresearch/NSVF), "Dataset", and its issues 42 and 64: poses take the camera to the
-world, with OpenCV's axes; names begin with 0_ in training, 1_ in validation and 2_ in testing. NeRF++ has intrinsics
-for each photograph, and train/ and test/ with such a layout each. Plenoxels (sxyu/svox2), which reads these scenes, has
-pixels' centres at +0.5.
+Poses map the camera to the world, with OpenCV's axes. Names begin with 0_ in training, 1_ in validation and 2_ in
+testing. Source: the README of NSVF (facebookresearch/NSVF), "Dataset", and its issues 42 and 64. NeRF++ has intrinsics
+for each photograph, and folders train/ and test/ with this layout. Plenoxels (sxyu/svox2) also reads these scenes; its
+pixel centres are at +0.5.
 """
 
 from __future__ import annotations

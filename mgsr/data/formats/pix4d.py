@@ -2,8 +2,8 @@
 
 Source: Pix4D's knowledge base, "What does the Output Params Folder contain?" and "How are the Internal and External
 Camera Parameters defined?". Each photograph has ten lines: its name and size, K, three radial and two tangential terms
-as in OpenCV, the camera's position, and the rotation from the world to its axes, which are OpenCV's. The image spans 0
-to its width.
+as in OpenCV, the camera's position, and the rotation from the world to OpenCV's camera axes. The image spans 0 to its
+width.
 """
 
 from __future__ import annotations

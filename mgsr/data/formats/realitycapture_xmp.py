@@ -1,9 +1,9 @@
 """RealityCapture / RealityScan: the .xmp files that it writes beside the photographs ("Metadata (XMP)").
 
-Source: "RealityCapture XMP Camera Math" of its knowledge base. The rotation takes the world to the camera's axes, row
-by row, and the position is the camera's centre. Lengths in the image are in its larger sides: the focal length is that
-of film 36 mm wide, and the principal point is counted from the middle. Other programs write .xmp files too, and it adds
-its values to those, as attributes or as elements.
+Source: "RealityCapture XMP Camera Math" of its knowledge base. The rotation maps the world to the camera's axes, row by
+row, and the position is the camera's centre. The focal length is that of film 36 mm wide. The principal point is
+counted from the middle, in larger sides of the image. Other programs write .xmp files too, and RealityCapture adds its
+values to those, as attributes or as elements.
 """
 
 from __future__ import annotations

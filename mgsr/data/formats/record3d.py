@@ -1,7 +1,7 @@
 """Record3D (iPhone and iPad): metadata.json of "EXR + JPG", or metadata of an unpacked .r3d file.
 
-Source: the app's author in its repository (marek-simonik/record3d, issues 27, 33, 36 and 64): a pose is qx qy qz qw tx
-ty tz, from the camera to the world, with OpenGL's axes; K is stored by columns.
+A pose is qx qy qz qw tx ty tz, from the camera to the world, with OpenGL's axes. K is stored by columns. Source: the
+app's author in its repository (marek-simonik/record3d, issues 27, 33, 36 and 64).
 """
 
 from __future__ import annotations

@@ -56,9 +56,9 @@ def _photo(image: Path, K: np.ndarray, file: Path) -> Photo:
 def _for_size(K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return the intrinsics [3,3] for a photograph of `size`, with pixels' centres at +0.5.
 
-    ScanNet's principal point is the image's middle, counted from the middle of the first pixel of a larger image;
-    whatever lies within a pixel of the middle is the middle. Any other principal point is counted from the middle of
-    the first pixel, as in ScanNet's programs.
+    ScanNet's principal point is the image's middle, but it was computed for a larger image with pixel centres at 0. A
+    point within a pixel of the middle is therefore taken as the middle. Any other principal point has pixel centres
+    at 0, as in ScanNet's programs.
     """
     middle = np.array(size) / 2
     if np.abs(K[:2, 2] - middle).max() <= 1:

@@ -2,9 +2,9 @@
 
 A log has a line of three numbers and a pose for each photograph; photographs come in the order of their names.
 
-Source: the benchmark's toolbox (isl-org/TanksAndTemples, convert_to_logfile.py) and its issue 36: poses take the camera
-to the world, with OpenCV's axes; the line above is the photograph's number, from 0 for 000001.jpg, and -1 after it
-where the photograph has no pose.
+Poses map the camera to the world, with OpenCV's axes. The line before a pose has the photograph's number, which is 0
+for 000001.jpg. The number is followed by -1 if the photograph has no pose. Source: the benchmark's toolbox
+(isl-org/TanksAndTemples, convert_to_logfile.py) and its issue 36.
 
 The log holds no intrinsics, so they must lie beside it. The benchmark's download page suggests a focal length of 0.7
 times the width, but its own models have about 0.6 (MVSNet's cameras of Auditorium: 1163 pixels of 1920). The suggestion

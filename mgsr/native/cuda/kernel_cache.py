@@ -25,10 +25,12 @@ def kernel_cache(folder: Path | None) -> KernelCache:
 class KernelCache:
     """A cache of machine code by key, on disk.
 
-    Processes may share the folder: a file appears there whole or not at all. A file ends with a hash of its key and its
-    code, so that one that was cut off, altered or put there under another name is no hit, and is replaced. The hash
-    comes last, since NVIDIA's tools then read the files. folder: made where it is missing; None, where there is none to
-    use, keeps nothing. No method raises: what the system says of the folder is logged once.
+    Processes may share the folder, because files are written atomically. A file ends with a hash of its key and its
+    code. A file that was cut off, altered or renamed is therefore no hit, and is replaced. The hash comes last, so that
+    NVIDIA's tools can read the files.
+
+    folder: it is made if it is missing; with None, nothing is kept. No method raises. The system's errors on the folder
+    are logged once.
     """
 
     def __init__(self, folder: Path | None) -> None:

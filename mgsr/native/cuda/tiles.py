@@ -96,8 +96,10 @@ class Band:
 class Projected:
     """A view's splats projected onto its image.
 
-    records [N,16], outlines [N,12]: see the families' kernels; order [N] int64: splats by depth, nearest first; whole:
-    the band that is all of the image; splats: the family's struct of them.
+    records [N,16], outlines [N,12]: see the families' kernels.
+    order [N] int64: the splats by depth, nearest first.
+    whole: the band that covers the whole image.
+    splats: the family's struct of the splats.
     """
 
     width: int
@@ -113,9 +115,10 @@ class Projected:
 class TileLists:
     """The splats that each tile of a band blends, nearest first.
 
-    ends [N] int64: sums of the band's tile counts in the splats' order, each with its own; tiles: how many tiles the
-    band has; ranges [tiles,2] and entries [pairs,2] int32, bucket_ends [tiles] int32: see Tiles in
-    kernels/common/tiles_cuda.h; struct: the same for the kernels' parameters.
+    ends [N] int64: the inclusive sums of the band's tile counts, in the splats' order.
+    tiles: the number of tiles of the band.
+    ranges [tiles,2], entries [pairs,2], bucket_ends [tiles]: int32, see Tiles in kernels/common/tiles_cuda.h.
+    struct: the same data for the kernels' parameters.
     """
 
     projected: Projected
@@ -161,8 +164,8 @@ def project(
 ) -> Projected:
     """Run a family's projection of its splats struct into radii [N], and sort the splats by depth.
 
-    params: the family's struct of the splats and PROJECTED. The number of pairs is read from the card, the one thing
-    the host waits for in a rendering: it waits for the projection alone, while the card goes on with the sort.
+    params: the family's struct of the splats and PROJECTED. The host reads the number of pairs from the card. It waits
+    for nothing else in a rendering. It waits only for the projection, while the card continues with the sort.
     """
     count = splats.count
     records, outlines = radii.new_empty(count, RECORD_FLOATS), radii.new_empty(count, OUTLINE_FLOATS)

@@ -6,16 +6,20 @@ import fcntl
 import os
 import secrets
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+ATTEMPTS, PAUSE = 10, 0.1  # to remove a folder, seconds between two of them
 
 
 @contextmanager
 def scratch_folder(root: Path, name: str) -> Iterator[Path]:
     """Yield a new folder under `root`, which is removed at the block's end.
 
-    A lock beside it tells `sweep` that the folder is in use. The kernel releases the lock when this process dies.
+    A lock beside it tells `sweep` that the folder is in use. The kernel releases the lock when this process dies. If
+    the folder cannot be removed, the lock's file stays, and `sweep` tries again.
     """
     root.mkdir(parents=True, exist_ok=True, mode=0o700)
     folder = root / f"{name}.{secrets.token_hex(4)}"
@@ -24,8 +28,8 @@ def scratch_folder(root: Path, name: str) -> Iterator[Path]:
         folder.mkdir(mode=0o700)
         yield folder
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        _drop(folder.with_suffix(folder.suffix + ".lock"))
+        if _removed(folder):
+            _drop(folder.with_suffix(folder.suffix + ".lock"))
         os.close(lock)
 
 
@@ -36,10 +40,24 @@ def sweep(root: Path) -> None:
             handle = os.open(lock, os.O_RDWR)
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(lock.with_suffix(""), ignore_errors=True)
-                _drop(lock)
+                if _removed(lock.with_suffix("")):
+                    _drop(lock)
             finally:
                 os.close(handle)
+
+
+def _removed(folder: Path) -> bool:
+    """Remove a folder, and return whether it is gone.
+
+    A process that is just being killed may still write into it, which makes single attempts fail.
+    """
+    for attempt in range(ATTEMPTS):
+        if attempt:
+            time.sleep(PAUSE)
+        shutil.rmtree(folder, ignore_errors=True)
+        if not folder.exists():
+            return True
+    return False
 
 
 def _hold(path: Path) -> int:

@@ -10,7 +10,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
+from threading import Thread
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,7 +24,7 @@ from mgsr.pipeline.progress import Event
 from mgsr.training.progress import Progress
 from service.views import FindingView
 from tests.service.stack import ROOT
-from worker import reporting
+from worker import reporting, scratch
 from worker.attempt import folder_name, joined
 from worker.process import _environment
 from worker.publish import media_type
@@ -206,6 +208,35 @@ child = [sys.executable, "-m", "service.contract.lifeline", str(os.getpid()), "s
 print(subprocess.Popen(child).pid, flush=True)
 sys.stdin.read()
 """
+
+
+def test_scratch_that_a_dying_process_writes_into_is_removed(tmp_path: Path) -> None:
+    with scratch_folder(tmp_path, "job.1") as folder:
+        end = time.monotonic() + 0.3
+
+        def write() -> None:
+            number = 0
+            while time.monotonic() < end:
+                number += 1
+                with suppress(FileNotFoundError):
+                    (folder / f"{number}").touch()
+
+        writer = Thread(target=write)
+        writer.start()
+    writer.join()
+    assert not list(tmp_path.iterdir())
+
+
+def test_scratch_that_cannot_be_removed_is_swept_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as failing:
+        failing.setattr(scratch, "PAUSE", 0.0)
+        failing.setattr(shutil, "rmtree", lambda folder, ignore_errors: None)
+        with scratch_folder(tmp_path, "job.1") as folder:
+            pass
+        sweep(tmp_path)
+        assert folder.is_dir()
+    sweep(tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_child_on_a_lifeline_dies_with_its_parent() -> None:

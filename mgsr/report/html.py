@@ -236,7 +236,7 @@ def _relit(pictures: Sequence[Picture]) -> str:
         return ""
     return (
         "<section><h2>In new light</h2><p>The textured model, <code>model.glb</code>, in a studio that turns around "
-        "it. The photographs&rsquo; light is divided out of its colours as far as it is known. The remaining light does "
+        "it. The photographs&rsquo; light is divided out of its colours as far as it is known. The rest of it does "
         f"not turn with the studio.</p>{_row('Textured model,', pictures, TILE_SIDE, COLUMNS[len(pictures)])}</section>"
     )
 

@@ -17,7 +17,7 @@ from mgsr.data.pixels import PixelStore
 from mgsr.data.valid_mask import largest_rectangle
 from mgsr.errors import SceneError
 
-# The number of cached undistortions. The maps of a 2-megapixel camera take 16 MB, and each photograph may have a camera.
+# The number of cached undistortions. Maps of a 2-megapixel camera take 16 MB, and each photograph may have a camera.
 _KEPT = 8
 
 # Rows per block, so that the working set stays in the CPU's cache: maps take an eighth of the time of whole images.

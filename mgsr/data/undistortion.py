@@ -1,4 +1,4 @@
-"""Resample photographs as a pinhole camera would have taken them."""
+"""Undistortion: photographs are resampled to the images of pinhole cameras."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mgsr.data.pixels import PixelStore
 from mgsr.data.valid_mask import largest_rectangle
 from mgsr.errors import SceneError
 
-# The maps of a 2-megapixel camera take 16 MB; captures with a camera for each photograph must not pile them up.
+# The number of cached undistortions. Maps of a 2-megapixel camera take 16 MB, and each photograph may have a camera.
 _KEPT = 8
 
 # Rows per block, so that the working set stays in the CPU's cache: maps take an eighth of the time of whole images.

@@ -11,7 +11,7 @@ from fnmatch import translate
 from functools import cached_property
 from pathlib import Path
 
-# How many names are looked at, and how far into a file.
+# The most names that are examined, and the most bytes of a file.
 _MOST_NAMES = 20_000
 _HEAD = 1 << 20
 

@@ -1,7 +1,7 @@
-"""Empty space around cameras, which is kept free of splats where no mask does so.
+"""Empty space around cameras, which is kept free of splats in scenes without masks.
 
-A splat close to a camera fills much of its photograph alone, and hangs as haze before the views of cameras nearby. The
-space between a camera and the first visible surface is empty, so no splat belongs there.
+A splat close to a camera fills much of its photograph alone, and appears as haze in nearby views. The space between a
+camera and the first visible surface is empty, so no splat belongs there.
 """
 
 from __future__ import annotations

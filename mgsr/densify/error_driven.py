@@ -1,8 +1,8 @@
 """Error-driven growth of the 3D branch: Gaussians are added where renderings differ visibly from the photographs.
 
-They replace as many Gaussians of least contribution, and others are added. A new Gaussian has a pixel's size and the
-photograph's colour, and lies on the pixel's ray at the rendered depth, as in ConeGS (Baranowski et al. 2025). The
-number of differing pixels that other views confirm, not a fixed count, says how many are added.
+Some of the new Gaussians replace those of least contribution, and others are added. A new Gaussian has a pixel's size
+and the photograph's colour, and lies on the pixel's ray at the rendered depth, as in ConeGS (Baranowski et al. 2025).
+Their number is not fixed. It follows from the number of differing pixels that other views confirm.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The finished mesh as the reflecting surface: its normals in each pixel, and where it reflects itself.
+"""The finished mesh as the reflecting surface: its normals in each pixel, and the pixels in which it reflects itself.
 
 A normal error of one degree turns the reflection by two. The mesh's normals are several times more accurate than
 blended splat normals. A reflected ray that meets the mesh again is reflected once more.

@@ -18,7 +18,7 @@ from mgsr.config.expert import MeshOptions
 from mgsr.data.scene import Scene, View
 from mgsr.errors import CheckpointError, in_short
 
-FORMAT = 7
+FORMAT = 8
 
 
 def fingerprint(scene: Scene, config: Config) -> dict[str, str]:

@@ -92,7 +92,7 @@ class Up(StrEnum):
 
 
 MIN_TEXTURE = 16  # texels along a side of a map
-MAX_LODS = 8
+MAX_LODS = 8  # coarser levels of detail; each has a quarter of the faces of the level before
 
 
 @dataclass(frozen=True)

@@ -27,27 +27,14 @@ def tolerant_hull(
     masks [H,W] 0..1, one for each camera. box [2,3]: the least and the largest corner of a box around the object, in
     the world frame. plane: the support plane, which cuts the hull off. dissent: the share of the masks that may exclude
     a place; one mask always may.
-
-    The box may be too small, because it comes from a part of the object. The carved cube grows until it holds the hull.
     """
     silhouettes = [Silhouette(camera, signed_distance(mask)) for mask, camera in zip(masks, cameras, strict=True)]
     wrong = max(1, int(dissent * len(silhouettes)))
-    sunk = options.sunk * pixel_size(cameras, np.zeros(3))
-    for _ in range(options.growths + 1):
-        half = options.half * float((box[1] - box[0]).max())
-        hull = carve(silhouettes, box.mean(axis=0), half, options.resolution, wrong)
-        if plane is not None:
-            hull = cut_at(hull, plane.coefficients, sunk)
-        if not _cut_off(hull):
-            break
-        box = np.stack([np.minimum(box[0], hull.box()[0]), np.maximum(box[1], hull.box()[1])])
-    return hull
-
-
-def _cut_off(hull: Hull) -> bool:
-    """Return whether the hull reaches the faces of the carved cube."""
-    inside = hull.field > 0
-    return any(bool(inside.take(end, axis=axis).any()) for axis in range(3) for end in (0, -1))
+    half = options.half * float((box[1] - box[0]).max())
+    hull = carve(silhouettes, box.mean(axis=0), half, options.resolution, wrong)
+    if plane is None:
+        return hull
+    return cut_at(hull, plane.coefficients, options.sunk * pixel_size(cameras, np.zeros(3)))
 
 
 def silhouette_distance(caster: RayCaster, camera: Camera) -> np.ndarray:

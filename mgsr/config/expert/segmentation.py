@@ -46,7 +46,6 @@ class TolerantHullOptions(Options):
 
     resolution: Annotated[int, Range(2)] = 128  # voxels along a side
     half: Positive = 0.6  # half the side of the carved cube, as a share of the box's longest side
-    growths: WholeNumber = 6  # most times that a cube which cuts the hull off is carved anew around the hull
     sunk: NotNegative = 1.0  # pixels; depth below the support plane at which the hull ends
 
 

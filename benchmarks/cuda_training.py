@@ -37,6 +37,7 @@ from mgsr.data.scene import Scene
 from mgsr.export.environment_map import StoredEnvironmentMap, write_environment_map
 from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.export.splats import write_splats
+from mgsr.training.control import TrainingControl
 from mgsr.training.evaluate import gaussian_picture, mean_psnr, surfel_picture
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import Training
@@ -101,7 +102,7 @@ def run(
     deadline: seconds after which training ends where it is.
     """
     scene, start = content.scene, content.start
-    trained = Training(scene, start, config, report, should_stop, deadline=deadline, device=device).run()
+    trained = Training(scene, start, config, TrainingControl(report, should_stop, deadline=deadline), device).run()
     out.mkdir(parents=True, exist_ok=True)
     for name, found in content.findings.items():
         (out / name).write_bytes(found)

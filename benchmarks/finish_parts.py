@@ -32,6 +32,7 @@ from mgsr.pipeline.evaluation import find_truth, surface_scores
 from mgsr.pipeline.rendering import masked_scene, scene_silhouettes, surface_views
 from mgsr.pipeline.result_files import at_known_exposures, read_models
 from mgsr.pipeline.result_paths import REPORT
+from mgsr.shading.photo_set import PhotoSet
 from mgsr.start.starting_points import starting_points
 
 
@@ -86,11 +87,11 @@ def measured(path: Path, run: Path) -> list[PartRow]:
     scene = at_known_exposures(run, load_scene(path, config.data))
     truth, models = find_truth(scene), read_models(run, scene.user_from_scene)
     views, masked = surface_views(models, scene, config), masked_scene(models, scene, config)
-    silhouettes = scene_silhouettes(masked)
+    photos = PhotoSet(masked.train, scene_silhouettes(masked))
     whole = Parts(config.mesh, starting_points(scene, 1, config.seed).surface if scene.masked else None)
 
     def extracted(parts: Parts) -> ReconstructedMesh:
-        mesh = extract_mesh(views, parts.config, silhouettes, masked.train, start=parts.start)
+        mesh = extract_mesh(views, parts.config, photos, start=parts.start)
         return mesh.in_frame(scene.user_from_scene.to_user(mesh.vertices))
 
     rows = []

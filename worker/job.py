@@ -114,6 +114,7 @@ def _reconstruct(spec: JobSpec) -> None:
         from mgsr.pipeline.estimate import write_estimate
         from mgsr.pipeline.result_paths import LOG, OBJECT
         from mgsr.pipeline.run import run_scene
+        from mgsr.pipeline.run_context import RunControl
         from mgsr.pipeline.run_display import RunDisplay
         from worker.reporting import Reporter
 
@@ -124,17 +125,9 @@ def _reconstruct(spec: JobSpec) -> None:
             if options.dry_run:
                 write_estimate(Path(spec.scene.name), spec.out, config, options.device, report, stop)
                 return
-            run_scene(
-                Path(spec.scene.name),
-                spec.out,
-                config,
-                options.device,
-                spec.resume,
-                report,
-                stop,
-                started_at=started_at,
-                reuse_object=(spec.out / OBJECT).is_file(),
-            )
+            kept = (spec.out / OBJECT).is_file()
+            control = RunControl(spec.resume, report, stop, started_at, reuse_object=kept)
+            run_scene(Path(spec.scene.name), spec.out, config, options.device, control)
 
 
 def _unpack(spec: JobSpec) -> None:

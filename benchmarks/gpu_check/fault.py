@@ -20,6 +20,7 @@ from benchmarks.packed_scenes import ball
 from mgsr.cli.options import REFUSED, refusals
 from mgsr.config import make_config
 from mgsr.native.cuda.launcher import cuda_launcher
+from mgsr.training.control import TrainingControl
 from mgsr.training.run import Training
 
 KERNEL = ("gaussians", "gaussians_project")
@@ -42,7 +43,7 @@ def train_and_break(device: str, go_wrong: Callable[[], None]) -> None:
     with refusals():
         scene, start = ball(size=96, train=8, points=1000)
         config = make_config("draft")
-        Training(scene, start, config, should_stop=should_stop, device=torch.device(device)).run()
+        Training(scene, start, config, TrainingControl(should_stop=should_stop), torch.device(device)).run()
 
 
 def read_nobodys_memory() -> None:

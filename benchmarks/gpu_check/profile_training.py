@@ -26,6 +26,7 @@ from benchmarks.gpu_check.results import tell
 from benchmarks.packed_scenes import Packed, packed_or_ball
 from mgsr.config import Config, make_config
 from mgsr.errors import Cancelled
+from mgsr.training.control import TrainingControl
 from mgsr.training.progress import Progress
 from mgsr.training.run import Training
 
@@ -147,7 +148,7 @@ def profiled(
     """Return the profile of `count` iterations in the middle of a training; None where it ended too early for that."""
     watch = Watch(config, device, count, after, work)
     with closing(watch), suppress(Cancelled):
-        Training(content.scene, content.start, config, watch.progress, watch.should_stop, device=device).run()
+        Training(content.scene, content.start, config, TrainingControl(watch.progress, watch.should_stop), device).run()
     return watch.result
 
 

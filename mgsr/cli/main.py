@@ -123,10 +123,11 @@ def train(
         config = make_config(preset, method, seed, settings or [])
         from mgsr.pipeline.result_paths import LOG
         from mgsr.pipeline.run import train_only
+        from mgsr.pipeline.run_context import RunControl
         from mgsr.pipeline.run_display import RunDisplay
 
         with stop_on_signals() as stop, RunDisplay(out / LOG, append=resume) as display:
-            train_only(scene, out, config, device, resume, display, stop)
+            train_only(scene, out, config, device, RunControl(resume, display, stop))
 
 
 @app.command()

@@ -61,7 +61,8 @@ def _run(scene: Path, out: Path, config: Config, device: str, resume: bool, star
     # Torch and Open3D take seconds to load: a wrong option is refused before.
     from mgsr.pipeline.result_paths import LOG
     from mgsr.pipeline.run import run_scene
+    from mgsr.pipeline.run_context import RunControl
     from mgsr.pipeline.run_display import RunDisplay
 
     with stop_on_signals() as stop, RunDisplay(out / LOG, append=resume) as display:
-        return run_scene(scene, out, config, device, resume, display, stop, started_at=started_at)
+        return run_scene(scene, out, config, device, RunControl(resume, display, stop, started_at))

@@ -8,8 +8,6 @@ from time import perf_counter
 import numpy as np
 
 from mgsr.config import ExpertConfig, Extractor, MeshConfig
-from mgsr.data.scene import View
-from mgsr.data.silhouettes import Silhouette
 from mgsr.errors import MeshError
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.colors import vertex_colors
@@ -31,29 +29,23 @@ from mgsr.shading.photo_set import PhotoSet
 def extract_mesh(
     views: Sequence[SurfaceView],
     config: MeshConfig,
-    silhouettes: Sequence[Silhouette] = (),
-    photographs: Sequence[View] = (),
-    threads: int | None = None,
+    photos: PhotoSet = PhotoSet(),
     go_on: Callable[[], bool] = lambda: True,
     start: Mesh | None = None,
     steps: Sequence[MeshStep] | None = None,
     ground: np.ndarray | None = None,
-    dissent: int = 0,
     expert: ExpertConfig = ExpertConfig(),
 ) -> ReconstructedMesh:
     """Extract the surface that the views show, in their frame, and finish it in steps (`mgsr.mesh.steps`).
 
-    silhouettes: of the training photographs' masks, if the scene has masks. The mesh then lies inside them, and its
+    photos: the training photographs, which refine the mesh. With silhouettes, the mesh lies inside them, and its
     contours coincide with theirs.
-    photographs: the training views, which refine the mesh.
-    threads: the number of cores to use; None: all.
     go_on: returns whether there is time for another round of refinement.
 
     start: the surface on which training began. It replaces the trained surface if the photographs clearly prefer it.
     If the trained surface is torn, `start` fitted to the views replaces it.
     steps: the steps that finish the mesh; None: all.
     ground [4]: the plane on which the object stands, in the views' frame, where the mesh ends; None if it is unknown.
-    dissent: the number of silhouettes that may exclude a part of the mesh.
     expert: the options of all algorithms.
 
     Raises MeshError, with the reason, if there is no surface.
@@ -61,8 +53,8 @@ def extract_mesh(
     footprint = median_footprint(views, config.min_alpha)
     if footprint is None:
         raise MeshError(_nothing_seen(views, config))
-    hull = SilhouetteHull(silhouettes, dissent) if silhouettes and config.hull_margin is not None else None
-    photos = PhotoSet(photographs, silhouettes, threads, expert.shading.observations)
+    bounded = bool(photos.silhouettes) and config.hull_margin is not None
+    hull = SilhouetteHull(photos.silhouettes, photos.dissent) if bounded else None
     context = StepContext(views, photos, config, footprint, hull, TimeLeft(go_on), ground, expert.mesh)
     extract = {Extractor.POISSON: _by_poisson, Extractor.TSDF: _by_tsdf}[config.extractor]
     trained = extract(context)
@@ -70,7 +62,7 @@ def extract_mesh(
     mesh, light, reports = take_steps(
         trained if chosen is None else chosen, context, mesh_steps(expert) if steps is None else steps
     )
-    colors = vertex_colors(mesh, views, config.min_alpha, _tolerance(context), threads, expert.mesh.colors)
+    colors = vertex_colors(mesh, views, config.min_alpha, _tolerance(context), photos.threads, expert.mesh.colors)
     return ReconstructedMesh(mesh.vertices, mesh.faces, colors, light.kind, chosen is not None, reports).with_normals(
         mesh.normals
     )

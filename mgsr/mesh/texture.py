@@ -30,7 +30,6 @@ def texture_levels(
     config: MeshConfig,
     shaded: bool = True,
     material: Material = MATTE,
-    threads: int | None = None,
     options: MeshOptions = MeshOptions(),
 ) -> list[TexturedMesh]:
     """Reduce the full surface, unwrap it, and bake its maps, at each level of detail, the finest first.
@@ -53,7 +52,7 @@ def texture_levels(
         reduced = _reduced(full, faces, own.same_side)
         width = None if output.texture is None else max(MIN_TEXTURE, round(output.texture * own.level_texels**level))
         unwrapped = unwrap(reduced, pixel / own.level_texels**level, width, own.unwrap)
-        levels.append(_baked(unwrapped, lit, views, config, threads, options))
+        levels.append(_baked(unwrapped, lit, views, config, options))
         faces = round(faces * own.level_faces)
     return levels
 
@@ -99,14 +98,13 @@ def _baked(
     lit: _LitSurface,
     views: Sequence[SurfaceView],
     config: MeshConfig,
-    threads: int | None,
     options: MeshOptions,
 ) -> TexturedMesh:
     """Bake the maps of an unwrapped level of detail from the full surface."""
     own = options.texture
     texels = find_texels(unwrapped, lit.full, own.same_side)
     at = lit.coarse.prolongation(texels.points)
-    colors = bake_colors(texels, lit.full, views, config, threads, options.colors)
+    colors = bake_colors(texels, lit.full, views, config, options=options.colors)
     if lit.material.tint is not None:
         colors = np.broadcast_to(linear_to_srgb(lit.material.tint), colors.shape)
     elif lit.irradiance is not None:

@@ -20,6 +20,7 @@ from mgsr.pipeline.steps import always
 from mgsr.shading.gloss import fit_gloss, mirrorings
 from mgsr.shading.light_estimate import LightKind
 from mgsr.shading.material import MATTE, Material
+from mgsr.shading.photo_set import PhotoSet
 
 
 def make_mesh(
@@ -38,17 +39,9 @@ def make_mesh(
     views = surface_views(model, scene, config)
     masked = masked_scene(model, scene, config)
     silhouettes = scene_silhouettes(masked, config.expert.mesh.mask_side)
-    mesh = extract_mesh(
-        views,
-        config.mesh,
-        silhouettes,
-        masked.train,
-        go_on=go_on,
-        start=start,
-        ground=scene.ground,
-        dissent=scene.mask_dissent,
-        expert=config.expert,
-    )
+    observations = config.expert.shading.observations
+    photos = PhotoSet(masked.train, silhouettes, options=observations, dissent=scene.mask_dissent)
+    mesh = extract_mesh(views, config.mesh, photos, go_on, start, ground=scene.ground, expert=config.expert)
     return mesh.in_frame(scene.user_from_scene.to_user(mesh.vertices))
 
 

@@ -27,6 +27,7 @@ from mgsr.pipeline.progress import Event, EventCallback
 from mgsr.pipeline.result_files import read_lighting, read_mesh, read_models, read_report
 from mgsr.pipeline.result_paths import ResultPaths
 from mgsr.pipeline.run import run_scene
+from mgsr.pipeline.run_context import RunControl
 from mgsr.pipeline.run_log import RunLog
 from mgsr.pipeline.steps import never
 from mgsr.report.data import ReportData
@@ -142,7 +143,8 @@ def reconstruct(
             if progress is not None:
                 progress(event)
 
-        run_scene(given, folder, config, device, resume, tell, should_stop or never, started_at)
+        control = RunControl(resume, tell, should_stop or never, started_at)
+        run_scene(given, folder, config, device, control)
     return load_result(folder)
 
 

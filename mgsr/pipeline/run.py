@@ -5,32 +5,30 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mgsr.budget.budget import TimeBudget
 from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.export.usdz import require_usd
-from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.geometry.mesh import Mesh
-from mgsr.inspection.findings import Inspection
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline import result_files
-from mgsr.pipeline.device import Device, pick_device
+from mgsr.pipeline.device import pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
 from mgsr.pipeline.meshing import make_mesh, make_textured
 from mgsr.pipeline.object_files import mask_agreement
 from mgsr.pipeline.preprocess import as_read, preprocess, take_scene
-from mgsr.pipeline.progress import Event, EventCallback, ignore
+from mgsr.pipeline.progress import Event
 from mgsr.pipeline.rendering import render_views
 from mgsr.pipeline.report_pictures import SurfaceDrawings, draw_relit, draw_surface, report_pictures
 from mgsr.pipeline.result_paths import CHECKPOINT, REPORT
+from mgsr.pipeline.run_context import RunContext, RunControl
 from mgsr.pipeline.run_metadata import run_report
-from mgsr.pipeline.steps import StepClock, Steps, StopCheck, always, never
-from mgsr.pipeline.time_budget import budget_facts, fitted_scene, learn_search, make_budget, plan_line, planned_config
+from mgsr.pipeline.steps import StepClock, Steps, always
+from mgsr.pipeline.time_budget import fitted_scene, learn_search, make_budget, plan_line, planned_config
 from mgsr.report.data import ReportData
-from mgsr.start.points import StartingPoints
+from mgsr.training.control import TrainingControl
 from mgsr.training.progress import TrainResult
 from mgsr.training.run import Training
 
@@ -40,31 +38,22 @@ def run_scene(
     out: Path,
     config: Config,
     device: str = "auto",
-    resume: bool = False,
-    progress: EventCallback = ignore,
-    should_stop: StopCheck = never,
-    started_at: float | None = None,
-    reuse_object: bool = False,
+    control: RunControl = RunControl(),
 ) -> Path:
     """Reconstruct a scene into the folder `out`; return the path of report.json, which is written last.
 
     given: the scene, or the path that `load_scene` takes.
-    resume: continue from the checkpoint in `out`, if there is one.
-    should_stop: called between iterations and between steps.
-    started_at: the value of time.perf_counter() from which a time budget (config.time_budget) counts; None is now.
-    reuse_object: if an object is looked for, take the masks that a run with the same settings of `data` left in `out`,
-    if there are any.
 
-    Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, GpuError, and Cancelled once should_stop
-    returns True. The checkpoint then holds the training's state.
+    Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, GpuError, and Cancelled once
+    `control.should_stop` returns True. The checkpoint then holds the training's state.
     """
     if config.output.usdz:
         require_usd()
     if isinstance(given, Scene):
         config = as_read(given, config)
-    chosen = pick_device(device)
-    since = StepClock(started_at)
-    step = Steps(StepClock(), progress, should_stop)
+    chosen, resume = pick_device(device), control.resume
+    since = StepClock(control.started_at)
+    step = Steps(StepClock(), control.progress, control.should_stop)
     budget = make_budget(config, lambda: since.total, chosen, out / CHECKPOINT if resume else None)
     checked = take_scene(given, out, config, step, resume)
     scene = checked.scene
@@ -72,12 +61,12 @@ def run_scene(
         if not resume:
             learn_search(scene, budget, step.clock)
         scene = fitted_scene(scene, budget, config, step.clock)
-    scene, start = preprocess(scene, config, out, step, budget, reuse_object)
+    scene, start = preprocess(scene, config, out, step, budget, control.reuse_object)
     if budget is not None:
         with step("plan", "timing an iteration of each stage"):
             config = planned_config(scene, start, budget, config, chosen, step.clock)
-        progress(Event("plan", f"time budget of {plan_line(budget)}"))
-    run = _Run(scene, start, config, out, step, chosen, budget, checked.inspection)
+        step.progress(Event("plan", f"time budget of {plan_line(budget)}"))
+    run = RunContext(scene, start, config, out, step, chosen, budget, checked.inspection)
     training = _TrainingStep(run, resume)
     trained = training.run(before_surface=True)
     if budget is not None:
@@ -95,9 +84,7 @@ def train_only(
     out: Path,
     config: Config,
     device: str = "auto",
-    resume: bool = False,
-    progress: EventCallback = ignore,
-    should_stop: StopCheck = never,
+    control: RunControl = RunControl(),
 ) -> TrainResult:
     """Run the training stages of `run_scene` up to mesh extraction, and write the splats to `out`.
 
@@ -109,29 +96,10 @@ def train_only(
             "time_budget applies to whole runs, and `mgsr train` cannot honour it; use `mgsr run`, or choose a preset"
         )
     chosen = pick_device(device)
-    step = Steps(StepClock(), progress, should_stop)
-    scene = take_scene(scene_path, out, config, step, resume).scene
+    step = Steps(StepClock(), control.progress, control.should_stop)
+    scene = take_scene(scene_path, out, config, step, control.resume).scene
     scene, start = preprocess(scene, config, out, step)
-    return _TrainingStep(_Run(scene, start, config, out, step, chosen), resume).run(before_surface=True)
-
-
-@dataclass(frozen=True)
-class _Run:
-    """The objects that the steps of a planned run share."""
-
-    scene: Scene
-    start: StartingPoints
-    config: Config
-    out: Path
-    step: Steps
-    device: Device
-    budget: TimeBudget | None = None
-    inspection: Inspection | None = None
-
-    def model(self, trained: TrainResult) -> TrainedModel:
-        """Return the trained model on the device, with the background of a found object."""
-        background = result_files.read_background(self.out, self.scene.user_from_scene)
-        return replace(trained.model, background=background).to(self.device.torch)
+    return _TrainingStep(RunContext(scene, start, config, out, step, chosen), control.resume).run(before_surface=True)
 
 
 @dataclass(frozen=True)
@@ -143,7 +111,7 @@ class _Surface:
     drawn: SurfaceDrawings
 
 
-def _make_surface(run: _Run, trained: TrainResult) -> _Surface:
+def _make_surface(run: RunContext, trained: TrainResult) -> _Surface:
     """Extract the surface, write it, and measure it."""
     with run.step("mesh", "extracting the surface"):
         start_surface = run.start.surface if run.scene.masked else None
@@ -155,7 +123,7 @@ def _make_surface(run: _Run, trained: TrainResult) -> _Surface:
         return _Surface(mesh, surface_scores(mesh, truth, run.scene), _draw(mesh, truth, run.scene))
 
 
-def _set_reflector(run: _Run, training: _TrainingStep, trained: TrainResult, mesh: ReconstructedMesh) -> bool:
+def _set_reflector(run: RunContext, training: _TrainingStep, trained: TrainResult, mesh: ReconstructedMesh) -> bool:
     """Attach the finished mesh as the reflector of the environment map if that is useful.
 
     Returns whether the map is trained again for it.
@@ -167,9 +135,9 @@ def _set_reflector(run: _Run, training: _TrainingStep, trained: TrainResult, mes
     return fit and training.set_reflector(Mesh(run.scene.user_from_scene.to_scene(mesh.vertices), mesh.faces))
 
 
-def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
+def _write_results(run: RunContext, trained: TrainResult, surface: _Surface) -> Path:
     """Texture the model, render and measure the test views, and write the report; return its path."""
-    scene, clock = run.scene, run.step.clock
+    scene = run.scene
     with run.step("model", "texturing the model"):
         levels = make_textured(run.model(trained), scene, run.config, surface.mesh)
         result_files.write_textured(run.out, levels, scene, run.config.output)
@@ -183,11 +151,8 @@ def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
         maps, agreement = trained.model.environment_map, mask_agreement(run.out)
         relit = draw_relit(levels[0], scene)
         pictures = report_pictures(rendered, psnr, surface.drawn, scene, maps, behind, agreement, relit)
-    budget = None if run.budget is None else budget_facts(run.budget, clock.steps)
-    given = (scene, run.start, run.config, run.device)
-    report = run_report(*given, trained, surface.mesh, scores, surface.scores, clock, budget)
-    inspection = None if run.inspection is None else run.inspection.to_json()
-    report = replace(report, material=levels[0].material.to_json(), inspection=inspection)
+    report = run_report(run, trained, surface.mesh, scores, surface.scores)
+    report = replace(report, material=levels[0].material.to_json())
     result_files.write_reports(run.out, report, pictures)
     run.step.progress(Event("report", result_line(report)))
     return run.out / REPORT
@@ -223,21 +188,18 @@ class _TrainingStep:
     The branches are also written as splat files. `out`/checkpoint holds the state during training and at its end.
     """
 
-    def __init__(self, run: _Run, resume: bool) -> None:
+    def __init__(self, run: RunContext, resume: bool) -> None:
         self._run, step = run, run.step
         self._text = f"training from {len(run.start.positions)} points ({run.start.source})"
         with step.clock.step("train"):
-            self._training = Training(
-                run.scene,
-                run.start,
-                run.config,
-                progress=lambda training: step.progress(Event("train", training.stage, training)),
-                should_stop=step.should_stop,
-                checkpoint_path=run.out / CHECKPOINT,
-                resume=resume,
-                device=run.device.torch,
+            control = TrainingControl(
+                lambda training: step.progress(Event("train", training.stage, training)),
+                step.should_stop,
+                run.out / CHECKPOINT,
+                resume,
                 scheduler=run.budget,
             )
+            self._training = Training(run.scene, run.start, run.config, control, run.device.torch)
 
     def set_reflector(self, mesh: Mesh) -> bool:
         """Let the finished mesh reflect the environment map (`Training.set_reflector`)."""

@@ -21,11 +21,11 @@ from mgsr.export.far_origin import origin_notes, origin_of_frame
 from mgsr.geometry.triangles import topology
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.native.runtime import isas
-from mgsr.pipeline.device import Device
 from mgsr.pipeline.evaluation import ImageScores
+from mgsr.pipeline.run_context import RunContext
 from mgsr.pipeline.steps import StepClock
+from mgsr.pipeline.time_budget import budget_facts
 from mgsr.report.data import (
-    BudgetFacts,
     CurvePoint,
     FlashFacts,
     FrameFacts,
@@ -47,24 +47,15 @@ _PROGRAMS = {"mgsr.cli.main": "mgsr", "program.__main__": "mgsr", "program.worke
 
 
 def run_report(
-    scene: Scene,
-    start: StartingPoints,
-    config: Config,
-    device: Device,
-    trained: TrainResult,
-    mesh: ReconstructedMesh,
-    scores: ImageScores,
-    gt: dict[str, float] | None,
-    clock: StepClock,
-    time_budget: BudgetFacts | None = None,
+    run: RunContext, trained: TrainResult, mesh: ReconstructedMesh, scores: ImageScores, gt: dict[str, float] | None
 ) -> ReportData:
     """Build the content of report.json. gt: the scores of the mesh against the true surface, None without one."""
-    model = trained.model
+    config, clock, model = run.config, run.step.clock, trained.model
     return ReportData(
-        scene=scene.name,
+        scene=run.scene.name,
         preset=config.preset,
         method=config.method,
-        device=str(device),
+        device=str(run.device),
         seed=config.seed,
         versions=_versions(),
         seconds=_seconds(trained, clock),
@@ -79,7 +70,7 @@ def run_report(
         gt=gt,
         peak_memory_mib=peak_memory_mib(),
         command=_command(),
-        input=_input(scene, start, config.output.scale),
+        input=_input(run.scene, run.start, config.output.scale),
         light=str(mesh.light),
         start_kept=mesh.start_kept,
         mesh_steps={
@@ -92,7 +83,8 @@ def run_report(
         ),
         settings=asdict(config),
         machine=_machine(),
-        time_budget=time_budget,
+        time_budget=None if run.budget is None else budget_facts(run.budget, clock.steps),
+        inspection=None if run.inspection is None else run.inspection.to_json(),
         **scores.optional,
     )
 

@@ -39,6 +39,7 @@ from mgsr.segmentation.mattes import Matte, first_region, hull_region, matte
 from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane
 from mgsr.start.points import StartingPoints
+from mgsr.training.control import TrainingControl
 from mgsr.training.proxy_model import small_view
 from mgsr.training.run import Training
 
@@ -372,7 +373,7 @@ def _trained(
     """Train the 2D branch alone on the whole scene."""
     stages = [f"warmup.surfel_iterations={iterations}", "mutual.iterations=0", "stop_rule=none"]
     config = make_config(seed=seed, overrides=["branches=surfels", *stages])
-    training = Training(scene, start, config, lambda report: progress(report.done), should_stop)
+    training = Training(scene, start, config, TrainingControl(lambda report: progress(report.done), should_stop))
     found = training.run().model.surfels
     assert found is not None
     return found

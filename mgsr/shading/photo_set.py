@@ -23,13 +23,14 @@ class PhotoSet:
     """The photographs of a capture.
 
     views: the training views. silhouettes: of their masks, at any size; empty without masks. threads: the cores to use;
-    None: all. options: of the observations.
+    None: all. options: of the observations. dissent: the number of silhouettes that may exclude a part of the object.
     """
 
-    views: Sequence[View]
+    views: Sequence[View] = ()
     silhouettes: Sequence[Silhouette] = ()
     threads: int | None = None
     options: ObservationOptions = ObservationOptions()
+    dissent: int = 0
 
     @cached_property
     def photographs(self) -> list[Photograph]:

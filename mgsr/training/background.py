@@ -12,6 +12,7 @@ from mgsr.config import Config, make_config
 from mgsr.data.scene import Scene, View
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.start.points import StartingPoints
+from mgsr.training.control import TrainingControl
 from mgsr.training.run import Training
 
 
@@ -38,9 +39,8 @@ def train_background(
     stages = [f"warmup.gaussian_iterations={config.train.warmup.surfel_iterations}", "mutual.iterations=0"]
     plain = ["branches=gaussians", "reflection=off", "flash=off", "stop_rule=none"]
     settings = make_config(config.preset, seed=config.seed, overrides=[*plain, *stages])
-    training = Training(
-        replace(scene, train=views, test=[]), start, settings, lambda report: progress(report.done), should_stop
-    )
+    control = TrainingControl(lambda report: progress(report.done), should_stop)
+    training = Training(replace(scene, train=views, test=[]), start, settings, control)
     model = training.run().model.gaussians
     assert model is not None
     return model

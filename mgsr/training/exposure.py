@@ -27,7 +27,7 @@ from mgsr.parallel import one_torch_thread
 from mgsr.start.point_exposures import exposure_gain, point_exposures
 from mgsr.start.points import StartingPoints
 from mgsr.training.evaluate import gaussian_picture
-from mgsr.training.proxy_model import small_view, train_proxy_model
+from mgsr.training.proxy_model import ProxyTraining, small_view, train_proxy_model
 
 DIGITS = 5  # decimal digits to which factors are rounded
 
@@ -60,8 +60,14 @@ def find_exposures(
         point_factors = point_exposures(small, tests, start.positions, start.normals, expert.start.exposures)
         if gain is not None and point_factors is not None:
             return _rounded(point_factors, len(small))
+    trainings = {
+        degree: ProxyTraining("exposures", degree, options.iterations, seed, options.proxy) for degree in degrees
+    }
     with one_torch_thread():
-        errors = {degree: _kept_errors(scene, start, small, degree, seed, should_stop, options) for degree in degrees}
+        errors = {
+            degree: _kept_errors(scene, start, small, training, should_stop, options)
+            for degree, training in trainings.items()
+        }
         degree = min(degrees, key=lambda each: float(errors[each][1]))
         if errors[degree][0] - errors[degree][1] < options.min_gain:
             return None
@@ -72,7 +78,7 @@ def find_exposures(
         factors = np.ones((len(small), 3))
         for _ in range(options.rounds):
             corrected = [at_common_exposure(view, factor) for view, factor in zip(small, factors, strict=True)]
-            picture = _trained(scene, start, corrected, degree, seed, should_stop, options)
+            picture = _trained(scene, start, corrected, trainings[degree], should_stop)
             factors = np.stack([_factor(view, picture(view), options) for view in small])
             mean = np.exp(np.log(factors).mean(axis=0))
             factors /= mean
@@ -92,8 +98,7 @@ def _kept_errors(
     scene: Scene,
     start: StartingPoints,
     small: list[View],
-    degree: int,
-    seed: int,
+    training: ProxyTraining,
     should_stop: Callable[[], bool],
     options: ExposureOptions,
 ) -> np.ndarray:
@@ -106,7 +111,7 @@ def _kept_errors(
     for first in (*range(1, options.held_out), 0):
         kept = small[first :: options.held_out]
         seen = [view for index, view in enumerate(small) if index % options.held_out != first]
-        picture = _trained(scene, start, seen, degree, seed, should_stop, options)
+        picture = _trained(scene, start, seen, training, should_stop)
         errors += [_errors(view, picture(view), options) for view in kept]
         if len(errors) >= options.min_views:
             break
@@ -117,15 +122,11 @@ def _trained(
     scene: Scene,
     start: StartingPoints,
     views: list[View],
-    degree: int,
-    seed: int,
+    training: ProxyTraining,
     should_stop: Callable[[], bool],
-    options: ExposureOptions,
 ) -> Callable[[View], np.ndarray]:
     """Train Gaussians on some views, and return a function that renders a view's linear light [H,W,3]."""
-    model = train_proxy_model(
-        scene, start, views, degree, options.iterations, seed, "exposures", should_stop, options=options.proxy
-    )
+    model = train_proxy_model(scene, start, views, training, should_stop)
     picture, behind = gaussian_picture(TrainedModel(None, model)), scene.backdrop(Background.AUTO)
 
     @torch.no_grad()

@@ -26,7 +26,7 @@ from mgsr.parallel import one_torch_thread
 from mgsr.renderers.gaussians import render_gaussians
 from mgsr.start.points import StartingPoints
 from mgsr.start.starting_points import ball_points, hull_points
-from mgsr.training.proxy_model import small_view, train_proxy_model
+from mgsr.training.proxy_model import ProxyTraining, small_view, train_proxy_model
 
 
 def learn_masks(
@@ -48,10 +48,8 @@ def learn_masks(
     def learned(
         start: StartingPoints, views: list[View], iterations: int, cost: float, report: Callable[[float], None]
     ) -> GaussianModel:
-        stop, degree = should_stop, options.degree
-        return train_proxy_model(
-            scene, start, views, degree, iterations, seed, "learned_masks", stop, report, cost, proxy
-        )
+        training = ProxyTraining("learned_masks", options.degree, iterations, seed, proxy, cost)
+        return train_proxy_model(scene, start, views, training, should_stop, report)
 
     options, proxy = expert.training.learned_masks, expert.training.learned_masks.proxy
     share = options.rough_iterations / (options.rough_iterations + options.iterations)

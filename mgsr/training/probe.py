@@ -14,6 +14,7 @@ from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.parallel import one_torch_thread
 from mgsr.start.points import StartingPoints
+from mgsr.training.control import TrainingControl
 from mgsr.training.plan import make_plan
 from mgsr.training.stage_scheduler import FINISH, StageLength
 from mgsr.training.trainer import Trainer
@@ -43,7 +44,7 @@ def probe(scene: Scene, start: StartingPoints, config: Config, device: torch.dev
         whole = replace(config.train, warmup=replace(config.train.warmup, coarse=0.0))  # reduced photographs are faster
         plan = replace(make_plan(scene, start, replace(config, train=whole), device), curve_views=[])
         splats = {branch.name: len(branch.model) for branch in plan.train_state.branches}
-        Trainer(plan, config.train, {}, scheduler=timer).run(before=FINISH)
+        Trainer(plan, config.train, {}, TrainingControl(scheduler=timer)).run(before=FINISH)
     return Probe({name: timer.median(name) for name in timer.times}, splats)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,11 +15,29 @@ from mgsr.data.scene import Scene, View
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.start.points import StartingPoints
 from mgsr.start.view_colors import median_colors
+from mgsr.training.control import TrainingControl
 from mgsr.training.plan import Plan
 from mgsr.training.stages import Stage, Step, gaussians_alone
 from mgsr.training.train_state import make_train_state, seeded
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU, TrainingView, ViewCycle, prepare_views
+
+
+@dataclass(frozen=True)
+class ProxyTraining:
+    """The training of a proxy model.
+
+    stage: the stage's name.
+    degree: the degree of the colours' harmonics.
+    opacity_cost: the weight of the mean opacity in the loss, which removes superfluous Gaussians.
+    """
+
+    stage: str
+    degree: int
+    iterations: int
+    seed: int
+    options: ProxyModelOptions = ProxyModelOptions()
+    opacity_cost: float = 0.0
 
 
 def small_view(view: View, side: int = ProxyModelOptions().side) -> View:
@@ -31,31 +49,22 @@ def train_proxy_model(
     scene: Scene,
     start: StartingPoints,
     views: list[View],
-    degree: int,
-    iterations: int,
-    seed: int,
-    name: str,
+    training: ProxyTraining,
     should_stop: Callable[[], bool] = lambda: False,
     progress: Callable[[float], None] = lambda done: None,
-    opacity_cost: float = 0.0,
-    options: ProxyModelOptions = ProxyModelOptions(),
 ) -> GaussianModel:
     """Train a proxy model: some of the starting points as Gaussians, on small views of the scene.
 
     No Gaussian is added or dropped. The same seed gives the same Gaussians.
 
-    degree: the degree of the colours' harmonics.
-    name: the stage's name.
     progress: called with the completed share, 0..1.
-    opacity_cost: the weight of the mean opacity in the loss, which removes superfluous Gaussians.
 
     Raises Cancelled once should_stop returns True, and TrainingError if training fails.
     """
-    kind = ["branches=gaussians", "reflection=off", f"gaussians.sh_degree={degree}", "tv=off"]
-    settings = make_config(seed=seed, overrides=[*kind, "gaussians.densify.by=gradient"])
-    train_state = make_train_state(
-        replace(scene, train=views), _few(start, views, seed, options.points), settings, Reflection.OFF, False, CPU
-    )
+    kind = ["branches=gaussians", "reflection=off", f"gaussians.sh_degree={training.degree}", "tv=off"]
+    settings = make_config(seed=training.seed, overrides=[*kind, "gaussians.densify.by=gradient"])
+    few = _few(start, views, training.seed, training.options.points)
+    train_state = make_train_state(replace(scene, train=views), few, settings, Reflection.OFF, False, CPU)
     branch = train_state.gaussians
     assert branch is not None
     cycle = ViewCycle(len(views), seeded(settings, 7))
@@ -63,14 +72,15 @@ def train_proxy_model(
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
         step = see(view, background, iteration)
-        if not opacity_cost:
+        if not training.opacity_cost:
             return step
-        return replace(step, loss=step.loss.plus("opacity", opacity_cost * branch.model.opacities().mean()))
+        return replace(step, loss=step.loss.plus("opacity", training.opacity_cost * branch.model.opacities().mean()))
 
-    prepared = prepare_views(views, scene.masked)
-    stage = Stage(name, [branch], iterations, prepared, cycle, compute, lambda _: (1, 0), lambda *_: options.rates)
+    prepared, rates = prepare_views(views, scene.masked), training.options.rates
+    last = training.iterations
+    stage = Stage(training.stage, [branch], last, prepared, cycle, compute, lambda _: (1, 0), lambda *_: rates)
     plan = Plan(train_state, [stage], [], scene.backdrop(settings.train.background))
-    Trainer(plan, settings.train, {}, should_stop=should_stop, progress=lambda report: progress(report.done)).run()
+    Trainer(plan, settings.train, {}, TrainingControl(lambda report: progress(report.done), should_stop)).run()
     return branch.model
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import torch
 
@@ -16,9 +15,10 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import one_torch_thread
 from mgsr.start.points import StartingPoints
 from mgsr.training.checkpoint import fingerprint
+from mgsr.training.control import TrainingControl
 from mgsr.training.plan import make_plan
-from mgsr.training.progress import ProgressCallback, TrainResult
-from mgsr.training.stage_scheduler import FINISH, StageScheduler
+from mgsr.training.progress import TrainResult
+from mgsr.training.stage_scheduler import FINISH
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU
 
@@ -47,14 +47,9 @@ def card_explained() -> Iterator[None]:
 class Training:
     """A scene's training, from starting points in the scene's frame.
 
-    progress: called at intervals (config.train.watch).
-    should_stop: called before every iteration. Once it returns True, a checkpoint is written and Cancelled raised.
-    checkpoint_path: one file, written at intervals and at the end.
-    resume: continue from the checkpoint if it exists. On the CPU the result equals an uninterrupted run's bit for bit.
-    deadline: seconds after which training ends at once; the stages' reports name the deadline as the reason.
+    control: the callbacks, the checkpoint and the limits of the training.
     device: where images, masks and splats are kept; a GPU is much faster. The result is on the CPU, and a checkpoint
     serves any device.
-    scheduler: sets the lengths of all stages.
 
     The run has one more stage, FINISH, in two cases: with a scheduler, or with an environment map that the finished
     mesh may reflect (`set_reflector`).
@@ -72,26 +67,13 @@ class Training:
         scene: Scene,
         start: StartingPoints,
         config: Config,
-        progress: ProgressCallback | None = None,
-        should_stop: Callable[[], bool] | None = None,
-        checkpoint_path: Path | None = None,
-        resume: bool = False,
-        deadline: float | None = None,
+        control: TrainingControl = TrainingControl(),
         device: torch.device = CPU,
-        scheduler: StageScheduler | None = None,
     ) -> None:
         with one_torch_thread(), card_explained():
-            self._trainer = Trainer(
-                make_plan(scene, start, config, device, finish=scheduler is not None),
-                config.train,
-                fingerprint(scene, config),
-                checkpoint_path,
-                progress,
-                should_stop,
-                deadline,
-                scheduler,
-            )
-            if resume and checkpoint_path is not None and checkpoint_path.exists():
+            plan = make_plan(scene, start, config, device, finish=control.scheduler is not None)
+            self._trainer = Trainer(plan, config.train, fingerprint(scene, config), control)
+            if control.resume and control.checkpoint_path is not None and control.checkpoint_path.exists():
                 self._trainer.resume()
 
     def set_reflector(self, mesh: Mesh) -> bool:
@@ -107,7 +89,7 @@ class Training:
 
         The stage FINISH has iterations only with a scheduler or after `set_reflector`.
         """
-        plan, scheduled = self._trainer.plan, self._trainer.scheduler is not None
+        plan, scheduled = self._trainer.plan, self._trainer.control.scheduler is not None
         with one_torch_thread(), card_explained():
             self._trainer.run(before=None if finish and (scheduled or plan.stages[-1].iterations) else FINISH)
         return _result(self._trainer)

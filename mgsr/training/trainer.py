@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,11 +12,11 @@ from mgsr.config import TrainConfig
 from mgsr.errors import Cancelled
 from mgsr.losses.loss import Loss
 from mgsr.training.checkpoint import load_checkpoint, save_checkpoint
+from mgsr.training.control import TrainingControl
 from mgsr.training.evaluate import mean_psnr, preview_pictures
 from mgsr.training.guard import Guard
 from mgsr.training.plan import Plan
-from mgsr.training.progress import CurveRow, Progress, ProgressCallback, StageReport
-from mgsr.training.stage_scheduler import StageScheduler
+from mgsr.training.progress import CurveRow, Progress, StageReport
 from mgsr.training.stages import ModelSelection, Stage, Step
 from mgsr.training.trainable import step_trainables
 from mgsr.training.views import pick_background
@@ -30,10 +28,7 @@ class Trainer:
     Its state consists of the plan's and the guard's state, the stage's number, the reports and the clock. A checkpoint
     holds all of it.
 
-    progress: called every `watch.report_every` iterations and at each stage's end.
-    should_stop: called before every iteration.
-    deadline: seconds of training after which the stages end at once.
-    scheduler: sets the stages' lengths.
+    control: the callbacks, the checkpoint and the limits. `resume` restores from the checkpoint.
     """
 
     def __init__(
@@ -41,20 +36,12 @@ class Trainer:
         plan: Plan,
         config: TrainConfig,
         run_fingerprint: dict[str, str],
-        checkpoint_path: Path | None = None,
-        progress: ProgressCallback | None = None,
-        should_stop: Callable[[], bool] | None = None,
-        deadline: float | None = None,
-        scheduler: StageScheduler | None = None,
+        control: TrainingControl = TrainingControl(),
     ) -> None:
         self.plan = plan
         self.config = config
         self.fingerprint = run_fingerprint
-        self.checkpoint_path = checkpoint_path
-        self.progress = progress
-        self.should_stop = should_stop
-        self.deadline = deadline
-        self.scheduler = scheduler
+        self.control = control
         self.stage_index = 0
         self.reports: list[StageReport] = []
         self.curve: list[CurveRow] = []
@@ -89,8 +76,8 @@ class Trainer:
 
     def save(self) -> None:
         """Write a checkpoint, if there is a path for it."""
-        if self.checkpoint_path is not None:
-            save_checkpoint(self.checkpoint_path, self.state())
+        if self.control.checkpoint_path is not None:
+            save_checkpoint(self.control.checkpoint_path, self.state())
         self._saved_at = self.seconds
 
     def state(self) -> dict[str, Any]:
@@ -105,7 +92,7 @@ class Trainer:
             "curve": [asdict(row) for row in self.curve],
             "incidents": self.incidents,
             "guard": None if self.guard is None else self.guard.state(),
-            "scheduler": None if self.scheduler is None else self.scheduler.state(),
+            "scheduler": None if self.control.scheduler is None else self.control.scheduler.state(),
         }
 
     def resume(self) -> None:
@@ -113,8 +100,8 @@ class Trainer:
 
         Raises CheckpointError if it is damaged or belongs to another run.
         """
-        assert self.checkpoint_path is not None
-        state = load_checkpoint(self.checkpoint_path, self.fingerprint)
+        assert self.control.checkpoint_path is not None
+        state = load_checkpoint(self.control.checkpoint_path, self.fingerprint)
         self.stage_index = state["stage_index"]
         self._left_at = time.perf_counter()
         self._clock_start = self._left_at - state["seconds"]
@@ -135,13 +122,13 @@ class Trainer:
 
     def _run_stage(self, stage: Stage, started_at: float) -> str:
         """Iterate to the stage's end, and return why it ended."""
-        reason = "iterations" if self.scheduler is None else "budget"
+        reason = "iterations" if self.control.scheduler is None else "budget"
         guard = self.guard = self.guard or self._new_guard(stage)
         self._apply_schedule(stage)
         while stage.iteration < stage.iterations:
             stage.seconds = self.seconds - started_at
             self._check_caller(stage)
-            if self.deadline is not None and self.seconds > self.deadline:
+            if self.control.deadline is not None and self.seconds > self.control.deadline:
                 return "deadline"
             if stage.selection is not None and stage.selection.due(stage):
                 self._select_model(stage, stage.selection)
@@ -158,8 +145,8 @@ class Trainer:
         return reason
 
     def _apply_schedule(self, stage: Stage) -> None:
-        if self.scheduler is not None:
-            stage.iterations = self.scheduler.length(self.plan.stages, self.stage_index, self._counts())
+        if self.control.scheduler is not None:
+            stage.iterations = self.control.scheduler.length(self.plan.stages, self.stage_index, self._counts())
 
     def _select_model(self, stage: Stage, selection: ModelSelection) -> None:
         """Run the stage's model selection. A run that stops during it repeats it on resume."""
@@ -170,23 +157,23 @@ class Trainer:
             """Train a candidate. Raises Cancelled if a stop is requested."""
             guard = Guard(stage, self.config.watch.check_every, self.incidents)
             for done in range(iterations):
-                if self.should_stop is not None and self.should_stop():
+                if self.control.should_stop is not None and self.control.should_stop():
                     raise self._cancelled(f"stopped on request while model selection trained {candidate}")
                 loss, _ = self._iterate(stage, guard)
-                if self.progress is not None and (done + 1) % self.config.watch.report_every == 0:
+                if self.control.progress is not None and (done + 1) % self.config.watch.report_every == 0:
                     report = self._report(stage, loss, last=False)
                     report = replace(report, stage=f"selection_{candidate}", iteration=done + 1, total=iterations)
-                    self.progress(replace(report, done=done_before, previews={}))
+                    self.control.progress(replace(report, done=done_before, previews={}))
 
         selection.run(stage, train)
 
     def _check_caller(self, stage: Stage) -> None:
-        if self.should_stop is not None and self.should_stop():
+        if self.control.should_stop is not None and self.control.should_stop():
             self.save()
             raise self._cancelled(f"stopped on request in {stage.name} after {stage.iteration} iterations")
 
     def _cancelled(self, what: str) -> Cancelled:
-        kept = "" if self.checkpoint_path is None else f"; {self.checkpoint_path.name} holds the state"
+        kept = "" if self.control.checkpoint_path is None else f"; {self.control.checkpoint_path.name} holds the state"
         return Cancelled(what + kept)
 
     def _iterate(self, stage: Stage, guard: Guard) -> tuple[Loss, bool]:
@@ -230,8 +217,8 @@ class Trainer:
         watch, iteration = self.config.watch, stage.iteration
         if last or iteration % watch.curve_every == 0:
             self.curve.append(self._curve_row(stage))
-        if self.progress is not None and (last or iteration % watch.report_every == 0):
-            self.progress(self._report(stage, loss, last))
+        if self.control.progress is not None and (last or iteration % watch.report_every == 0):
+            self.control.progress(self._report(stage, loss, last))
         if (iteration % watch.checkpoint_every == 0 or self._checkpoint_overdue()) and not last:
             self.save()
 

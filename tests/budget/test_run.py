@@ -14,6 +14,7 @@ from mgsr.config import make_config
 from mgsr.errors import Cancelled
 from mgsr.pipeline.progress import Event
 from mgsr.pipeline.run import run_scene
+from mgsr.pipeline.run_context import RunControl
 from mgsr.training.progress import Progress
 from tests.cli.spheres import write_spheres
 
@@ -36,7 +37,7 @@ def processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
 def run(scene: Path, out: Path, seconds: float, **options: Any) -> dict[str, Any]:
     """Run with a budget, and return the report."""
     config = make_config(overrides=[*SMALL, f"time_budget={seconds}"])
-    report = run_scene(scene, out, config, "cpu", started_at=time.perf_counter(), **options)
+    report = run_scene(scene, out, config, "cpu", RunControl(started_at=time.perf_counter(), **options))
     found: dict[str, Any] = json.loads(report.read_text())
     return found
 

@@ -12,6 +12,7 @@ from mgsr.errors import GpuError
 from mgsr.gaussians.order import morton_order
 from mgsr.training import trainer
 from mgsr.training.branch import Branch
+from mgsr.training.control import TrainingControl
 from mgsr.training.run import Training
 from tests.cuda.machines import CARD, SHIM, Machine, on_each_machine
 from tests.optional import present
@@ -81,10 +82,10 @@ def test_a_checkpoint_serves_any_device(tmp_path: Path) -> None:
     """
     machine = CARD if torch.cuda.is_available() else SHIM
     scene, points, path = ball_scene(24, train=3, test=1), ball_points(80), tmp_path / "checkpoint.pt"
-    Training(scene, points, short("2dgs", *QUICK), checkpoint_path=path).run()
+    Training(scene, points, short("2dgs", *QUICK), TrainingControl(checkpoint_path=path)).run()
     with machine.running():
         result = Training(
-            scene, points, short("2dgs", *QUICK), checkpoint_path=path, resume=True, device=machine.device
+            scene, points, short("2dgs", *QUICK), TrainingControl(checkpoint_path=path, resume=True), machine.device
         ).run()
     assert result.model.surfels is not None
 

@@ -17,6 +17,7 @@ from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult
 from mgsr.mesh.views import SurfaceView
 from mgsr.shading.light_estimate import LightEstimate, LightKind
+from mgsr.shading.photo_set import PhotoSet
 from tests.mesh.shapes import ball, cameras_around, joined, position_color, silhouettes_of, views_of
 from tests.shading.test_shape_from_shading import Shade, flash, matte, photographs, rippled
 
@@ -49,7 +50,7 @@ def test_a_ball_comes_out(views: list[SurfaceView], extractor: Extractor) -> Non
 
 
 def test_the_result_does_not_depend_on_the_run(views: list[SurfaceView]) -> None:
-    first, second = (extract_mesh(views, CONFIG, threads=count) for count in (1, 2))
+    first, second = (extract_mesh(views, CONFIG, PhotoSet(threads=count)) for count in (1, 2))
     np.testing.assert_array_equal(first.faces, second.faces)
     np.testing.assert_array_equal(first.vertices, second.vertices)
     np.testing.assert_array_equal(first.colors, second.colors)
@@ -78,7 +79,7 @@ def test_waves_go_unless_a_flash_has_told_them_from_shape(shade: Shade, light: L
     rendered = views_of(rippled(), [view.camera for view in seen])
     config = replace(CONFIG, poisson_depth=7, min_alpha=0.3, bilateral_angle=None)
     kept, smoothed = (
-        extract_mesh(rendered, replace(config, regression_angle=angle), photographs=seen, go_on=lambda: False)
+        extract_mesh(rendered, replace(config, regression_angle=angle), photos=PhotoSet(seen), go_on=lambda: False)
         for angle in (None, 10.0)
     )
     assert kept.light is smoothed.light is light
@@ -107,7 +108,10 @@ def test_nothing_stays_outside_the_silhouettes() -> None:
     cameras = cameras_around(16)
     fat = views_of(ball(RADIUS + 0.04), cameras)
     silhouettes = silhouettes_of(ball(RADIUS), cameras)
-    free, held = extract_mesh(fat, CONFIG), extract_mesh(fat, replace(CONFIG, consistency=None), silhouettes)
+    free, held = (
+        extract_mesh(fat, CONFIG),
+        extract_mesh(fat, replace(CONFIG, consistency=None), PhotoSet(silhouettes=silhouettes)),
+    )
     assert radial_error(free).mean() == pytest.approx(0.04, abs=0.004)
     # One pixel, 0.018, is forgiven, and 16 silhouettes touch a ball in 16 circles only.
     assert radial_error(held).mean() < 0.032
@@ -118,11 +122,11 @@ def test_one_wrong_mask_cuts_only_where_no_mask_may_dissent() -> None:
     views, silhouettes = views_of(ball(RADIUS), cameras), silhouettes_of(ball(RADIUS), cameras)
     smaller = silhouettes_of(ball(0.6 * RADIUS), cameras[:1])
     wrong, config = [*smaller, *silhouettes[1:]], replace(CONFIG, silhouette_smoothing=None)
-    cut, whole = (extract_mesh(views, config, wrong, dissent=dissent) for dissent in (0, 1))
+    cut, whole = (extract_mesh(views, config, PhotoSet(silhouettes=wrong, dissent=dissent)) for dissent in (0, 1))
     assert radial_error(cut).max() > 0.05
     assert radial_error(whole).max() < 0.02
     two_wrong = [*smaller, *silhouettes_of(ball(0.6 * RADIUS), cameras[1:2]), *silhouettes[2:]]
-    assert radial_error(extract_mesh(views, config, two_wrong, dissent=1)).max() > 0.05
+    assert radial_error(extract_mesh(views, config, PhotoSet(silhouettes=two_wrong, dissent=1))).max() > 0.05
 
 
 def test_what_was_never_seen_stays_open_unless_closed() -> None:

@@ -47,8 +47,7 @@ def test_a_torn_surface_gives_way_to_the_start_bent_to_the_views(monkeypatch: py
     mesh = extract_mesh(
         views,
         MeshConfig(max_light_residual=None),
-        (),
-        painted_photographs(64)[:3],
+        PhotoSet(painted_photographs(64)[:3]),
         start=whole.moved(0.98 * whole.vertices),
     )
     radii = np.linalg.norm(mesh.vertices, axis=1)
@@ -63,7 +62,8 @@ def test_a_likelier_start_is_what_is_finished(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(extract, "is_torn", lambda *surfaces: False)
     for kept, radius in ((True, 0.9 * RADIUS), (False, RADIUS)):
         monkeypatch.setattr(extract, "photographs_prefer_start", lambda *surfaces, kept=kept: kept)
-        mesh = extract_mesh(views, MeshConfig(max_light_residual=None), (), painted_photographs(64)[:3], start=smaller)
+        photos = PhotoSet(painted_photographs(64)[:3])
+        mesh = extract_mesh(views, MeshConfig(max_light_residual=None), photos, start=smaller)
         assert mesh.start_kept is kept
         assert abs(np.median(np.linalg.norm(mesh.vertices, axis=1)) - radius) < 0.01
     assert not extract_mesh(views, MeshConfig(max_light_residual=None)).start_kept

@@ -149,13 +149,13 @@ def test_the_surface_of_a_capture_is_moved_where_outlines_hold_it() -> None:
     seen = photographs(truth, painted)
     rendered = views_of(ball(RADIUS), [view.camera for view in seen])
     masks = silhouettes_of(truth, [view.camera for view in seen])
-    meshes = [extract_mesh(rendered, config, silhouettes, seen) for silhouettes in (masks, [])]
+    meshes = [extract_mesh(rendered, config, PhotoSet(seen, silhouettes)) for silhouettes in (masks, [])]
     moved, unmoved = meshes
     assert moved.light is LightKind.UNKNOWN and "photometric_refinement" in moved.steps
     assert "photometric_refinement" not in unmoved.steps
     assert error(moved.vertices) < 0.3 * error(unmoved.vertices)
-    without = extract_mesh(rendered, replace(config, photometric_reach=None), masks, seen)
-    in_haste = extract_mesh(rendered, config, masks, seen, go_on=lambda: False)
+    without = extract_mesh(rendered, replace(config, photometric_reach=None), PhotoSet(seen, masks))
+    in_haste = extract_mesh(rendered, config, PhotoSet(seen, masks), go_on=lambda: False)
     assert not [each for each in (without, in_haste) if "photometric_refinement" in each.steps]
 
 

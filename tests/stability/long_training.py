@@ -12,6 +12,7 @@ from torch import Tensor
 
 from mgsr.config import make_config
 from mgsr.parallel import one_torch_thread
+from mgsr.training.control import TrainingControl
 from mgsr.training.plan import Plan, make_plan
 from mgsr.training.progress import Progress
 from mgsr.training.trainer import Trainer
@@ -60,7 +61,7 @@ def long_training(iterations: int, seen: Callable[[Look], None] = lambda _: None
         looks.append(_look(report, plan, len(trainer.incidents), iterations))
         seen(looks[-1])
 
-    trainer = Trainer(plan, config.train, {}, progress=look)
+    trainer = Trainer(plan, config.train, {}, TrainingControl(look))
     with one_torch_thread():
         trainer.run()
     return looks

@@ -14,6 +14,7 @@ from mgsr.data.scene import Scene
 from mgsr.errors import Cancelled, TrainingError
 from mgsr.training import trainer
 from mgsr.training.branch import Branch
+from mgsr.training.control import TrainingControl
 from mgsr.training.guard import Guard
 from mgsr.training.plan import make_plan
 from mgsr.training.run import Training
@@ -223,8 +224,10 @@ def test_a_resumed_run_goes_back_to_the_same_look(
     straight = Training(scene(), ball_points(100), bursting()).run()
     path, calls = tmp_path / "checkpoint", iter(range(1000))
     with pytest.raises(Cancelled):
-        Training(scene(), ball_points(100), bursting(), None, lambda: next(calls) >= stop_at, path).run()
-    resumed = Training(scene(), ball_points(100), bursting(), checkpoint_path=path, resume=True).run()
+        Training(
+            scene(), ball_points(100), bursting(), TrainingControl(None, lambda: next(calls) >= stop_at, path)
+        ).run()
+    resumed = Training(scene(), ball_points(100), bursting(), TrainingControl(checkpoint_path=path, resume=True)).run()
     assert len(straight.incidents) == 1 and resumed.incidents == straight.incidents
     assert_same(resumed, straight)
 

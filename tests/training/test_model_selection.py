@@ -9,6 +9,7 @@ import torch
 
 from mgsr.config import Reflection, make_config
 from mgsr.errors import Cancelled
+from mgsr.training.control import TrainingControl
 from mgsr.training.model_selection import CANDIDATES, Candidate, ReflectionSelection, simplest
 from mgsr.training.plan import make_plan
 from mgsr.training.progress import Progress, TrainResult
@@ -31,11 +32,10 @@ TRIED = [
 ]
 
 
-def trained(gloss: float, method: str = "mgsr", *overrides: str, **callbacks: Any) -> TrainResult:
+def trained(gloss: float, method: str = "mgsr", *overrides: str, **control: Any) -> TrainResult:
     scene = ball_scene(32, train=14, test=3, gloss=gloss)
-    return Training(
-        scene, ball_points(600, RADIUS), make_config("draft", method, 0, [*LENGTHS, *TRIED, *overrides]), **callbacks
-    ).run()
+    config = make_config("draft", method, 0, [*LENGTHS, *TRIED, *overrides])
+    return Training(scene, ball_points(600, RADIUS), config, TrainingControl(**control)).run()
 
 
 def test_a_matte_ball_ends_without_reflection() -> None:

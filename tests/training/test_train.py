@@ -15,6 +15,7 @@ from mgsr.data.camera import Camera
 from mgsr.errors import Cancelled, CheckpointError, TrainingError
 from mgsr.geometry.mesh import Mesh
 from mgsr.renderers.surfels import render_surfels
+from mgsr.training.control import TrainingControl
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import Training
 from tests.optional import present
@@ -39,7 +40,10 @@ PREVIEWS = {
 def test_each_method_runs_its_stages(method: str, names: list[str]) -> None:
     reports: list[Progress] = []
     result = Training(
-        ball_scene(32), ball_points(), short(method, "preview_every=20", "report_every=10"), reports.append
+        ball_scene(32),
+        ball_points(),
+        short(method, "preview_every=20", "report_every=10"),
+        TrainingControl(reports.append),
     ).run()
     assert [stage.name for stage in result.stages] == names
     assert (result.model.surfels is None, result.model.gaussians is None) == (method == "3dgs", method == "2dgs")
@@ -114,8 +118,10 @@ def test_a_resumed_run_equals_one_that_was_not_stopped(
     scene, points, path = ball_scene(32), ball_points(), tmp_path / "checkpoint"
     calls = iter(range(1000))
     with pytest.raises(Cancelled, match="checkpoint"):
-        Training(scene, points, config, should_stop=lambda: next(calls) >= stop_at, checkpoint_path=path).run()
-    resumed = Training(scene, points, config, checkpoint_path=path, resume=True).run()
+        Training(
+            scene, points, config, TrainingControl(should_stop=lambda: next(calls) >= stop_at, checkpoint_path=path)
+        ).run()
+    resumed = Training(scene, points, config, TrainingControl(checkpoint_path=path, resume=True)).run()
     straight = Training(scene, points, config).run()
     assert_same(resumed, straight)
     assert resumed.tried == straight.tried
@@ -127,25 +133,34 @@ def test_a_resumed_run_equals_one_that_was_not_stopped(
 
 def test_resuming_a_finished_run_gives_its_result(tmp_path: Path) -> None:
     path = tmp_path / "checkpoint"
-    finished = Training(ball_scene(32), ball_points(), short(), checkpoint_path=path).run()
-    assert_same(finished, Training(ball_scene(32), ball_points(), short(), checkpoint_path=path, resume=True).run())
+    finished = Training(ball_scene(32), ball_points(), short(), TrainingControl(checkpoint_path=path)).run()
+    assert_same(
+        finished,
+        Training(ball_scene(32), ball_points(), short(), TrainingControl(checkpoint_path=path, resume=True)).run(),
+    )
 
 
 def test_a_checkpoint_of_another_run_is_refused(tmp_path: Path) -> None:
     path, scene, points = tmp_path / "checkpoint", ball_scene(32), ball_points()
-    Training(scene, points, short("3dgs"), checkpoint_path=path).run()
+    Training(scene, points, short("3dgs"), TrainingControl(checkpoint_path=path)).run()
     with pytest.raises(CheckpointError, match="settings differ"):
-        Training(scene, points, short("3dgs", "l1_weight=0.5"), checkpoint_path=path, resume=True).run()
+        Training(
+            scene, points, short("3dgs", "l1_weight=0.5"), TrainingControl(checkpoint_path=path, resume=True)
+        ).run()
     with pytest.raises(CheckpointError, match="scene differ"):
-        Training(ball_scene(32, train=11), points, short("3dgs"), checkpoint_path=path, resume=True).run()
-    Training(scene, points, short("3dgs", "curve_every=7"), checkpoint_path=path, resume=True).run()  # only looked at
+        Training(
+            ball_scene(32, train=11), points, short("3dgs"), TrainingControl(checkpoint_path=path, resume=True)
+        ).run()
+    Training(
+        scene, points, short("3dgs", "curve_every=7"), TrainingControl(checkpoint_path=path, resume=True)
+    ).run()  # only looked at
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(CheckpointError, match="not a readable checkpoint"):
-        Training(scene, points, short("3dgs"), checkpoint_path=path, resume=True).run()
+        Training(scene, points, short("3dgs"), TrainingControl(checkpoint_path=path, resume=True)).run()
 
 
 def test_a_deadline_ends_the_run_and_says_so() -> None:
-    result = Training(ball_scene(32), ball_points(), short("3dgs"), deadline=0.0).run()
+    result = Training(ball_scene(32), ball_points(), short("3dgs"), TrainingControl(deadline=0.0)).run()
     assert [stage.stop_reason for stage in result.stages] == ["deadline", "deadline"]
 
 
@@ -178,9 +193,8 @@ def test_too_little_to_start_from() -> None:
 def test_checkpoints_also_come_by_the_clock(tmp_path: Path) -> None:
     path, seen = tmp_path / "checkpoint", []
     config = short("2dgs", "report_every=5", "checkpoint_seconds=0")
-    Training(
-        ball_scene(32), ball_points(), config, lambda report: seen.append(path.exists()), checkpoint_path=path
-    ).run()
+    control = TrainingControl(lambda report: seen.append(path.exists()), checkpoint_path=path)
+    Training(ball_scene(32), ball_points(), config, control).run()
     assert seen[1]  # in the first stage, long before the first 1000 iterations
 
 

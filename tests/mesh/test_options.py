@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from mgsr.config import ExpertConfig, MeshConfig, OutputConfig, make_config
-from mgsr.config.expert import ColorOptions, MeshOptions
+from mgsr.config.expert import ColorOptions, MeshOptions, MeshStepOptions
+from mgsr.config.expert import mesh_steps as options_folder
 from mgsr.geometry.mesh import Mesh
+from mgsr.mesh import steps as steps_folder
 from mgsr.mesh.colors import blended_colors
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.poisson import cell_size
@@ -74,6 +77,14 @@ def test_the_textured_model(views: list[SurfaceView], mesh: Mesh) -> None:
     assert max(textured("unwrap.max_side=48").size) < 0.7 * max(usual.size)
     assert max(textured("unwrap.padding=24").size) > max(usual.size)
     assert len(textured("charts.min_cosine=0.9").vertices) != len(usual.vertices), "charts end elsewhere"
+
+
+def test_options_stand_in_a_file_of_their_steps_name() -> None:
+    files, steps = (
+        {each.stem for each in Path(part.__path__[0]).glob("*.py")} for part in (options_folder, steps_folder)
+    )
+    assert files <= steps
+    assert {item.name for item in fields(MeshStepOptions)} <= {step.name for step in mesh_steps()}
 
 
 def changed(node: Any) -> Any:

@@ -41,16 +41,13 @@ from mgsr.config.expert.inspection import (
 )
 from mgsr.config.expert.mesh import (
     ColorOptions,
-    CutAtGroundOptions,
     MeshOptions,
-    MeshStepOptions,
-    PullIntoHullOptions,
-    RemoveContradictedOptions,
     SurfaceChoiceOptions,
     TextureOptions,
     UnwrapOptions,
     ViewFitOptions,
 )
+from mgsr.config.expert.mesh_steps import MeshStepOptions
 from mgsr.config.expert.segmentation import (
     BackgroundRenderOptions,
     ColorModelOptions,
@@ -121,7 +118,6 @@ __all__ = [
     "ContourOptions",
     "ContourSearchOptions",
     "CoverageOptions",
-    "CutAtGroundOptions",
     "DataOptions",
     "DensifyOptions",
     "DepthFillingOptions",
@@ -164,9 +160,7 @@ __all__ = [
     "PointExposureOptions",
     "PoseCheckOptions",
     "ProxyModelOptions",
-    "PullIntoHullOptions",
     "RandomWalkerOptions",
-    "RemoveContradictedOptions",
     "ResidualOptions",
     "SceneStereoOptions",
     "SegmentationConfig",

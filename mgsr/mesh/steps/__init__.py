@@ -1,6 +1,7 @@
 """The steps that finish a raw mesh, in their order.
 
-A new step is one file in this folder, one line here, and its options in `mgsr/config/expert/mesh.py`.
+A new step is one file in this folder and one line here. Its options, if it has any, are a file of the same name in
+`mgsr/config/expert/mesh_steps/`.
 """
 
 from mgsr.config import ExpertConfig

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from mgsr.config.expert import CutAtGroundOptions
+from mgsr.config.expert.mesh_steps.cut_at_ground import CutAtGroundOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult
 from mgsr.shading.light_estimate import LightEstimate

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from mgsr.config.expert import PullIntoHullOptions
+from mgsr.config.expert.mesh_steps.pull_into_hull import PullIntoHullOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.cleanup import pull_into_hull
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mgsr.config.expert import RemoveContradictedOptions, ResidualOptions
+from mgsr.config.expert import ResidualOptions
+from mgsr.config.expert.mesh_steps.remove_contradicted import RemoveContradictedOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import drop_small_pieces
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult

@@ -14,7 +14,6 @@ import numpy as np
 
 from mgsr.config.expert import EnvironmentOptions, EnvironmentResidualOptions
 from mgsr.data.camera import Camera
-from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import diffuse
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.environment_fit import FittedEnvironmentMap
@@ -49,11 +48,11 @@ def environment_residuals(
     """Return each mesh's residual; all variances use one map, the map with the least ratio on its own mesh."""
     read = []
     for mesh in meshes:
-        pixel = photos.pixel_on(mesh)
-        coarse = coarser(mesh, options.edge * pixel, options.max_faces)
-        observations = photos.observer(pixel).observe(coarse)
+        observer = photos.observer(photos.pixel_on(mesh))
+        coarse = observer.coarser(mesh, options.edge, options.max_faces)
+        observations = observer.observe(coarse)
         environment = fit_mirrored_environment(observations, coarse.double_normals, options)
-        read.append((coarse, pixel, observations.frontal(options.min_cosine), environment))
+        read.append((coarse, observer.pixel, observations.frontal(options.min_cosine), environment))
     best = min((each[-1] for each in read), key=lambda environment: environment.ratio)
     found = []
     for mesh, pixel, observations, own in read:

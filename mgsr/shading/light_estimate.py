@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from mgsr.config.expert import LightOptions
-from mgsr.geometry.decimate import coarser
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.flash import flash_ratio
 from mgsr.shading.light_models import EnvironmentLight, FlashLight, LightModel, fit_mirrored_environment
@@ -46,12 +45,14 @@ def estimate_light(
     max_ratio: the largest ratio of an accepted model; above it, the light is unknown. known: the previous estimate.
     """
     observer, searches = photos.observer(photos.pixel_on(mesh)), known.searches + 1
-    coarse = coarser(mesh, options.edge * observer.pixel, options.max_faces)
+    coarse, mirrored = observer.coarser(mesh, options.edge, options.max_faces), options.environment
     observations = observer.observe(coarse)
     by_flash = flash_ratio(observations, coarse.double_normals, options.flash)
-    by_environment = fit_mirrored_environment(observations, coarse.double_normals, options.environment).ratio
-    if not min(by_flash, by_environment) <= max_ratio:
+    environment = fit_mirrored_environment(observations, coarse.double_normals, mirrored)
+    if not min(by_flash, environment.ratio) <= max_ratio:
         return LightEstimate(LightKind.UNKNOWN, None, searches)
-    if by_flash <= by_environment:
+    if by_flash <= environment.ratio:
         return LightEstimate(LightKind.FLASH, FlashLight(observer, coarse, observations, options.flash), searches)
-    return LightEstimate(LightKind.ENVIRONMENT, EnvironmentLight(observer, options.environment), searches)
+    same = (options.edge, options.max_faces) == (mirrored.edge, mirrored.max_faces)
+    model = EnvironmentLight(observer, mirrored, (mesh, environment) if same else None)
+    return LightEstimate(LightKind.ENVIRONMENT, model, searches)

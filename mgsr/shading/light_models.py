@@ -9,7 +9,6 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from mgsr.config.expert import EnvironmentOptions, FlashOptions
-from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import diffuse, mean_normals
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.ambient_occlusion import AmbientOcclusion, estimate_occlusion
@@ -62,7 +61,7 @@ class FlashLight:
 
     def lighting(self, mesh: Mesh) -> Lighting:
         options = self._options.irradiance
-        mesh = coarser(mesh, options.edge * self._observer.pixel, options.max_faces)
+        mesh = self._observer.coarser(mesh, options.edge, options.max_faces)
         lamps, occlusion = self._flash.lamps(self._cameras), self._estimate_occlusion(mesh)
         observations, points = self._observer.observe(mesh, lamps), mesh.vertices
         given = observations, points, mesh.double_normals, self._cameras, occlusion
@@ -111,15 +110,23 @@ class FlashLight:
 
     def _estimate_occlusion(self, mesh: Mesh) -> AmbientOcclusion:
         observer, options = self._observer, self._options.occlusion
-        coarse = coarser(mesh, options.edge * observer.pixel, options.max_faces)
+        coarse = observer.coarser(mesh, options.edge, options.max_faces)
         return estimate_occlusion(coarse, observer.photographs, observer.pixel, observer.threads, options)
 
 
 class EnvironmentLight:
-    """A static environment that the surface mirrors."""
+    """A static environment that the surface mirrors.
 
-    def __init__(self, observer: Observer, options: EnvironmentOptions = EnvironmentOptions()) -> None:
-        self._observer, self._options = observer, options
+    known: a mesh, and the map that is fitted on it already.
+    """
+
+    def __init__(
+        self,
+        observer: Observer,
+        options: EnvironmentOptions = EnvironmentOptions(),
+        known: tuple[Mesh, FittedEnvironmentMap] | None = None,
+    ) -> None:
+        self._observer, self._options, self._known = observer, options, known
 
     def explain(self, mesh: Mesh) -> TargetNormals:
         options, pixel, threads = self._options, self._observer.pixel, self._observer.threads
@@ -134,7 +141,9 @@ class EnvironmentLight:
         return None
 
     def environment(self, mesh: Mesh) -> FittedEnvironmentMap:
-        coarse = coarser(mesh, self._options.edge * self._observer.pixel, self._options.max_faces)
+        if self._known is not None and mesh is self._known[0]:
+            return self._known[1]
+        coarse = self._observer.coarser(mesh, self._options.edge, self._options.max_faces)
         return fit_mirrored_environment(self._observer.observe(coarse), coarse.double_normals, self._options)
 
 

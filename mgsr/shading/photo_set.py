@@ -14,6 +14,7 @@ from mgsr.data.photograph import Photograph
 from mgsr.data.scene import View, some_of
 from mgsr.data.silhouettes import Silhouette
 from mgsr.geometry.contours import SilhouetteContour, find_contour
+from mgsr.geometry.decimate import coarser
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.observations import Observations, observe_photographs
 
@@ -63,3 +64,7 @@ class Observer:
     def observe(self, mesh: Mesh, lamps: np.ndarray | None = None) -> Observations:
         """Sample the photographs at a mesh's vertices. lamps [N,3]: as for `observe_photographs`."""
         return observe_photographs(mesh, self.photographs, self.pixel, self.threads, lamps, self.options)
+
+    def coarser(self, mesh: Mesh, edge: float, max_faces: int) -> Mesh:
+        """Simplify a mesh to edges of `edge` pixels or longer, and to `max_faces` faces at most."""
+        return coarser(mesh, edge * self.pixel, max_faces)

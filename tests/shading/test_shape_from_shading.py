@@ -17,6 +17,7 @@ from mgsr.geometry.raycast import pixel_rays
 from mgsr.shading.environment_fit import fit_environment_map, look_up
 from mgsr.shading.environment_normals import normals_from_environment
 from mgsr.shading.light_estimate import LightEstimate, LightKind, estimate_light
+from mgsr.shading.light_models import EnvironmentLight
 from mgsr.shading.observations import observe_photographs
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.shading.shape_from_shading import shape_from_shading
@@ -189,6 +190,14 @@ def test_matte_paint_under_a_lamp_that_stands_still_changes_nothing() -> None:
     refined, light = refine(matte)
     assert light.kind is LightKind.UNKNOWN
     np.testing.assert_array_equal(refined.vertices, ball(RADIUS).vertices)
+
+
+def test_the_estimates_map_is_the_map_that_its_mesh_mirrors() -> None:
+    mesh, photos = as_mesh(ball(RADIUS)), PhotoSet(photographs(ball(RADIUS), glossy))
+    model = estimate_light(mesh, photos, 0.85, LightEstimate()).model
+    assert isinstance(model, EnvironmentLight)
+    anew = EnvironmentLight(photos.observer(photos.pixel_on(mesh)))
+    np.testing.assert_array_equal(model.environment(mesh).light, anew.environment(mesh).light)
 
 
 def test_the_map_is_the_environment_up_to_a_constant() -> None:

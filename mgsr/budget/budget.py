@@ -33,6 +33,13 @@ from mgsr.data.cost_factors import CostFactors
 from mgsr.training.stage_scheduler import FINISH, StageLength
 
 SCALES = (1.0, 0.71, 0.5, 0.35, 0.25)  # sizes of the photographs that may be chosen
+TOO_SMALL = 1.05  # times the budget; where the shortest plan takes longer, the budget is too small
+RATIOS = (0.05, 50.0)  # a machine's slowness that a single step may tell
+DRIFTS = (0.1, 10.0)  # a change of speed that a single reading of the clock may tell
+KEPT_DRIFT, LATEST_DRIFT = 0.7, 0.3  # weights of the earlier and the latest drift in their mean
+HALVINGS = 12  # of the interval of places in the search for a plan
+MESH_STEP = 0.25  # between two places that are tried for the surface once training has ended
+MESH_RESERVE = 0.15  # share of the surface's expected time that is reserved then
 
 
 class TimeBudget:
@@ -88,11 +95,11 @@ class TimeBudget:
     @property
     def too_small(self) -> bool:
         """Return whether even the shortest plan was expected to exceed the budget."""
-        return self.least > 1.05 * self.seconds
+        return self.least > TOO_SMALL * self.seconds
 
     def learn(self, reference: float, seconds: float) -> None:
         """Update the machine's slowness by a step that took `seconds`, against `reference` on the reference machine."""
-        ratio = min(max(seconds / reference, 0.05), 50.0)
+        ratio = min(max(seconds / reference, RATIOS[0]), RATIOS[1])
         self._slowness = ratio if self._slowness is None else (self.slowness * ratio) ** 0.5
         self._drift = self._latest = 1.0
 
@@ -123,7 +130,7 @@ class TimeBudget:
             self.learn(sum(reference.values()), sum(measured.values()))
         low, high = self.options.lowest, self.options.highest
         self.least = self.spent + self._total(self.line.at(low), reserve=0.0)
-        for _ in range(12):
+        for _ in range(HALVINGS):
             middle = (low + high) / 2
             fits = self.spent + self._total(self.line.at(middle)) <= self._aim
             low, high = (middle, high) if fits else (low, middle)
@@ -159,8 +166,8 @@ class TimeBudget:
         assert self.place is not None
         lowest, place, least = self.options.lowest, self.place, min(self.refined, self.options.min_refined)
         self._drift = max(self._drift, self._latest)  # training ends soon after the machine has slowed down
-        while place > lowest and self.spent + self._after(self._factors, self._mesh, 0.15, least) > self._aim:
-            place = max(lowest, place - 0.25)
+        while place > lowest and self.spent + self._after(self._factors, self._mesh, MESH_RESERVE, least) > self._aim:
+            place = max(lowest, place - MESH_STEP)
             self._mesh = self.line.at(place).mesh
         return self._mesh
 
@@ -275,8 +282,8 @@ class TimeBudget:
             return expected * self._drift
         each = max((last - first) / (done - start), 1e-6)
         if not self.on_card and name in self._costs:
-            self._latest = min(max(each / expected, 0.1), 10.0)
-            self._drift = 0.7 * self._drift + 0.3 * self._latest
+            self._latest = min(max(each / expected, DRIFTS[0]), DRIFTS[1])
+            self._drift = KEPT_DRIFT * self._drift + LATEST_DRIFT * self._latest
         return each
 
     def _end(self, stages: Sequence[StageLength], index: int) -> float:

@@ -17,6 +17,7 @@ from mgsr.data.scene import PHOTOGRAPHS
 from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import rendered_pixels, surface_cells
 
+LOADING, LOADED = 0.15, 0.01  # seconds of reading: of any capture, and per view of the usual size
 GROWN = 0.15  # Gaussians added by error-driven growth, per pixel of a view
 STEREO = 18.5  # seconds per megapixel that stereo searches, of all photographs together
 FILLED = 0.1  # seconds per view for filling depths in regions without contrast
@@ -25,13 +26,28 @@ ROUNDS, FLASH_ROUNDS = 3, 10  # rounds of refining the surface, without and with
 MODEL = 2.0  # seconds of unwrapping and baking
 SEARCHED = 1.9  # seconds per view for finding the object's masks
 LEARNED = 12.0  # seconds for learning masks from small photographs
+MATTE_SURFACE, SHINY_SURFACE = 26.0, 43.0  # seconds for the first surface of the reference scene
+STARTED = 2.0  # seconds for the visual hull and the starting points
 FEATURE_PIXELS = 2400 * 1800  # photographs with more pixels are reduced before the search for features
 MOST_FEATURES = 8192  # features in a photograph
+MEGAPIXEL_FEATURES = 6900  # features per megapixel
+USUAL_FEATURES = 1190  # features in a photograph of the fitted captures
+DETECTED = 0.46  # seconds per megapixel for detecting features
+MAPPED = 0.05  # seconds per photograph with the usual features for mapping
+MATCHED = 0.0087  # seconds per pair of photographs with the usual features for matching
+# Seconds of an iteration of training: of any, per view of the usual size, and per 10,000 splats.
+SURFEL_ITERATION, GAUSSIAN_ITERATION = (0.0045, 0.011, 0.0025), (0.0045, 0.015, 0.0035)
+MUTUAL = 1.15  # a mutual iteration over one of each branch
+EXTRACTING, MESHED, RENDERED = 0.3, 12.0, 0.55  # seconds of extraction: of any, of the usual cells, and per megapixel
+COMPARED, UNCOMPARED = 4.0, 0.1  # seconds of the scores of a surface with and without a true one
+DRAWN, TEST_DRAWN, MOST_DRAWN = 2.0, 0.3, 6  # seconds of the surface's pictures, per test view, for at most so many
+BAKED = 0.05  # seconds of the textured model per view of the usual size
+REPORTED, TEST_SCORED = 0.8, 0.2  # seconds of the report, and per test view of the usual size
 
 
 def load_cost(factors: CostFactors) -> float:
     """Return the seconds that reading the photographs takes."""
-    return 0.15 + 0.01 * (factors.views + factors.tests) * factors.size
+    return LOADING + LOADED * (factors.views + factors.tests) * factors.size
 
 
 def cameras_cost(photographs: int, pixels: float, frames: bool) -> float:
@@ -40,8 +56,9 @@ def cameras_cost(photographs: int, pixels: float, frames: bool) -> float:
     pixels: mean pixels of a photograph. frames: whether they are frames of a video; their choice is not counted.
     """
     megapixels = min(pixels, FEATURE_PIXELS) / 1e6
-    features = min(MOST_FEATURES, 6900 * megapixels) / 1190
-    return photographs * (0.46 * megapixels + 0.05 * features) + pair_count(photographs, frames) * 0.0087 * features
+    features = min(MOST_FEATURES, MEGAPIXEL_FEATURES * megapixels) / USUAL_FEATURES
+    pairs = pair_count(photographs, frames)
+    return photographs * (DETECTED * megapixels + MAPPED * features) + pairs * MATCHED * features
 
 
 def stereo_pixels(factors: CostFactors, most: int) -> float:
@@ -58,18 +75,19 @@ def start_cost(factors: CostFactors, most: int = SceneStereoOptions().max_pixels
     everything = STEREO * stereo_pixels(factors, most) / 1e6 + FILLED * min(factors.views, PHOTOGRAPHS)
     if not factors.masked and not factors.learned:
         return search + everything
-    surface = (43.0 if factors.shiny else 26.0) * (factors.views / 48 * factors.size) ** 0.7
-    seconds: float = search + everything * factors.searched + LEARNED * factors.learned + 2.0 + surface
-    return seconds
+    surface = (SHINY_SURFACE if factors.shiny else MATTE_SURFACE) * factors.surface_work
+    return search + everything * factors.searched + LEARNED * factors.learned + STARTED + surface
 
 
 def iteration_cost(stage: str, factors: CostFactors, splats: Mapping[str, int]) -> float:
     """Return the seconds that one iteration of a stage of training takes, with so many splats in each branch."""
     flat, full = (splats.get(name, 0) / 10_000 for name in ("surfels", "gaussians"))
-    surfels = 0.0045 + 0.011 * factors.size + 0.0025 * flat
-    gaussians = 0.0045 + 0.015 * factors.size + 0.0035 * full
+    surfels, gaussians = (
+        each + per_size * factors.size + per_splats * count
+        for (each, per_size, per_splats), count in ((SURFEL_ITERATION, flat), (GAUSSIAN_ITERATION, full))
+    )
     if stage == "mutual":
-        return 1.15 * (surfels + gaussians)
+        return MUTUAL * (surfels + gaussians)
     return surfels if stage == "warmup_surfels" or not full else gaussians
 
 
@@ -90,7 +108,7 @@ def usual_points(factors: CostFactors, config: Config) -> int:
 
 def surface_cost(factors: CostFactors, config: MeshConfig) -> float:
     """Return the seconds that rendering the surface's views and extracting it takes, without its refinement."""
-    base = 0.3 + 12.0 * surface_cells(factors, config) ** 2 + 0.55 * rendered_pixels(factors, config) / 1e6
+    base = EXTRACTING + MESHED * surface_cells(factors, config) ** 2 + RENDERED * rendered_pixels(factors, config) / 1e6
     seconds: float = base + sum(step.cost(factors, config) for step in mesh_steps() if not step.refines)
     return seconds
 
@@ -113,14 +131,14 @@ def round_cost(factors: CostFactors, config: MeshConfig) -> float:
 
 def judging_cost(factors: CostFactors) -> float:
     """Return the seconds that scores and pictures of the surface take."""
-    return (4.0 if factors.truth else 0.1) + 2.0 + 0.3 * min(factors.tests, 6)
+    return (COMPARED if factors.truth else UNCOMPARED) + DRAWN + TEST_DRAWN * min(factors.tests, MOST_DRAWN)
 
 
 def textured_cost(factors: CostFactors) -> float:
     """Return the seconds that the textured model takes."""
-    return MODEL + 0.05 * factors.views * factors.size
+    return MODEL + BAKED * factors.views * factors.size
 
 
 def closing_cost(factors: CostFactors) -> float:
     """Return the seconds that the textured model, the test renders, their scores and the report take."""
-    return textured_cost(factors) + 0.8 + 0.2 * factors.tests * factors.size
+    return textured_cost(factors) + REPORTED + TEST_SCORED * factors.tests * factors.size

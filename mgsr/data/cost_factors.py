@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 USUAL_PIXELS = 256 * 256
+USUAL_VIEWS = 48
+GROWTH = 0.7  # exponent by which the time of work on a surface grows with the photographs' pixels
 
 
 @dataclass(frozen=True)
@@ -35,3 +37,8 @@ class CostFactors:
     def size(self) -> float:
         """Return the pixels of a view as a share of the usual."""
         return self.pixels / USUAL_PIXELS
+
+    @property
+    def surface_work(self) -> float:
+        """Return the time of work on a surface by all photographs, relative to the usual capture's."""
+        return float((self.views / USUAL_VIEWS * self.size) ** GROWTH)

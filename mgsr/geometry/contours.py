@@ -23,6 +23,8 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
 
+BLUR, FARTHEST = 0.7, 4.0  # pixels; of the distance to a contour before its gradient, and its largest magnitude there
+
 
 @dataclass(frozen=True)
 class SilhouetteContour:
@@ -39,7 +41,7 @@ def find_contour(silhouette: Silhouette) -> SilhouetteContour:
     The contour leaves out parts near the border of the image or of its valid pixels, where the object is cut off.
     """
     distance = silhouette.distance
-    slope_y, slope_x = np.gradient(ndimage.gaussian_filter(np.clip(distance, -4, 4), 0.7))
+    slope_y, slope_x = np.gradient(ndimage.gaussian_filter(np.clip(distance, -FARTHEST, FARTHEST), BLUR))
     near = np.abs(distance) < 0.5
     near[[0, 1, -2, -1]] = False
     near[:, [0, 1, -2, -1]] = False

@@ -9,6 +9,8 @@ from scipy.sparse.linalg import LinearOperator, cg
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import unit_vectors
 
+TOLERANCE, MOST_STEPS = 1e-4, 500  # of the conjugate gradients: relative residual at which they end, and most steps
+
 
 def mean_normals(normals: np.ndarray, laplacian: sparse.csr_matrix, rounds: int) -> np.ndarray:
     """Average unit normals [V,3] with those of neighbouring vertices, `rounds` times; return unit normals [V,3]."""
@@ -83,5 +85,5 @@ def _solve(matrix: sparse.csr_matrix, right: np.ndarray) -> np.ndarray:
     """Solve a symmetric positive definite system [V,V] for a right side [V], by conjugate gradients."""
     diagonal = np.maximum(matrix.diagonal(), 1e-12)
     jacobi = LinearOperator(matrix.shape, matvec=lambda values: values / diagonal)
-    solution: np.ndarray = cg(matrix, right, rtol=1e-4, maxiter=500, M=jacobi)[0]
+    solution: np.ndarray = cg(matrix, right, rtol=TOLERANCE, maxiter=MOST_STEPS, M=jacobi)[0]
     return solution

@@ -19,6 +19,8 @@ from mgsr.data.robust import robust_deviation
 from mgsr.geometry.triangles import reflect
 from mgsr.shading.observations import Observations
 
+TOLERANCE, MOST_STEPS = 1e-3, 100  # of the conjugate gradients: relative residual at which they end, and most steps
+
 
 @dataclass(frozen=True)
 class FittedEnvironmentMap:
@@ -121,7 +123,7 @@ class _EnvironmentEquations:
         size = self.rows.shape[1]
         right = turned @ (weights * self._without_own(self.brightness, weights))
         system = LinearOperator((size, size), matvec=apply, dtype=float)
-        solution: np.ndarray = cg(system, right, x0=start, rtol=1e-3, maxiter=100)[0]
+        solution: np.ndarray = cg(system, right, x0=start, rtol=TOLERANCE, maxiter=MOST_STEPS)[0]
         return solution
 
     def residual(self, light: np.ndarray, weights: np.ndarray) -> np.ndarray:

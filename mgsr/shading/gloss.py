@@ -31,6 +31,9 @@ from mgsr.shading.observations import observe_photographs, sample_image
 ROUGHNESSES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.8)
 TILTS = (0.3, 0.6, 1.0)  # cosines of the tilts at which lobes are computed; other tilts blend these lobes
 
+LEAST_TILT, TABLE = 0.02, 50  # the least cosine and the number of cosines at which `mirrored_share` integrates
+DRAWS = 32  # microfacets along each of the integral's two axes
+
 
 @dataclass(frozen=True)
 class Mirrorings:
@@ -235,7 +238,7 @@ def mirrored_share(cosines: np.ndarray, roughness: float, reflectance: float) ->
     reflectance: at normal incidence. The share is the integral of GGX with Schlick's and Smith's terms over
     microfacets, which are drawn by area (Karis, 2013).
     """
-    tilts, steps = np.linspace(0.02, 1, 50)[:, None], (np.arange(32) + 0.5) / 32
+    tilts, steps = np.linspace(LEAST_TILT, 1, TABLE)[:, None], (np.arange(DRAWS) + 0.5) / DRAWS
     chance, turn = (each.ravel() for each in np.meshgrid(steps, np.pi * steps))
     square = roughness**4
     up = np.sqrt((1 - chance) / (1 + (square - 1) * chance))

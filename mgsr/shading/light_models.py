@@ -22,6 +22,9 @@ from mgsr.shading.photo_set import Observer
 from mgsr.shading.pixel_footprint import deconvolve
 from mgsr.shading.target_normals import TargetNormals
 
+BEND_REACH = 0.7  # edge lengths; least reach of averages of the bend
+SHARPNESS = 4.0  # nearness to sharp edges, over the share of them around a vertex
+
 
 class LightModel(Protocol):
     """A model of the light on a mesh, fitted to the photographs."""
@@ -185,6 +188,6 @@ def _near_sharp_edges(mesh: Mesh, pixel: float, reach: float, convex: float) -> 
     length = np.sqrt(np.maximum((laplacian @ (vertices**2)).sum(1) - 2 * (vertices * steps).sum(1), 1e-20))
     smooth = mean_normals(normals, laplacian, rounds=1)
     bend = -(steps * smooth).sum(1) * 4 / length**2 * pixel
-    sharp = (diffuse(bend[:, None], laplacian, 0.7)[:, 0] > convex).astype(float)
-    nearness: np.ndarray = np.clip(4 * diffuse(sharp[:, None], laplacian, max(reach, 0.7))[:, 0], 0, 1)
+    sharp = (diffuse(bend[:, None], laplacian, BEND_REACH)[:, 0] > convex).astype(float)
+    nearness: np.ndarray = np.clip(SHARPNESS * diffuse(sharp[:, None], laplacian, max(reach, BEND_REACH))[:, 0], 0, 1)
     return nearness

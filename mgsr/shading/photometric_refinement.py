@@ -29,6 +29,10 @@ from mgsr.shading.details import Details, KnownLight, ObservedMesh, centered, ch
 from mgsr.shading.light_models import LightModel
 from mgsr.shading.photo_set import PhotoSet
 
+REWEIGHTINGS = 2  # of the observations in a round
+GROSS = 10.0  # deviations of the noise; larger residuals count as this large in the variance
+LEAST_VARIANCE = 0.25  # of an observation, in variances of the noise
+
 
 def refine_photometrically(
     mesh: Mesh,
@@ -84,14 +88,14 @@ def _registered(details: Details, surface: ObservedMesh, options: PhotometricOpt
     noise = _noise(centered(details.mixed, weights), weights)
     weights = weights / (1 + (details.mirrored / (options.mirrored * noise)) ** 2)
     irls_weights = weights
-    for _ in range(2):
+    for _ in range(REWEIGHTINGS):
         residual = centered(details.mixed, irls_weights)
         noise = _noise(residual, weights)
         irls_weights = weights / (1 + (residual / (options.outlier * noise)) ** 2)
     residual, slope = centered(details.mixed, irls_weights), centered(details.change, irls_weights)
-    residual_energy = (weights * np.minimum(residual**2, (10 * noise) ** 2)).sum(axis=1)
+    residual_energy = (weights * np.minimum(residual**2, (GROSS * noise) ** 2)).sum(axis=1)
     around = surface.around(np.stack([residual_energy, weights.sum(axis=1)], axis=1), options.noise_reach)
-    variance = np.maximum(around[:, 0] / np.maximum(around[:, 1], 1e-9), noise**2 / 4)
+    variance = np.maximum(around[:, 0] / np.maximum(around[:, 1], 1e-9), noise**2 * LEAST_VARIANCE)
     steepness = (irls_weights * slope**2).sum(axis=1)
     target = -(irls_weights * slope * residual).sum(axis=1) / np.maximum(steepness, 1e-12)
     return target, options.precision**2 * steepness / variance

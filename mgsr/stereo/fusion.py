@@ -30,6 +30,8 @@ from mgsr.native import _fusion
 from mgsr.native.structs import VotingMaps
 from mgsr.stereo.patch_match import DepthMap
 
+MARGIN = 1.5  # voxels of the hull, between the hull and the grid's border
+
 
 def fuse(
     cameras: Sequence[Camera],
@@ -105,7 +107,7 @@ class _Grid:
     def around(cls, hull: Hull, pixel: float, options: FusionOptions) -> _Grid:
         """Make a grid around a hull. pixel: the size of a pixel on the object, in the scene's unit."""
         inside = hull.reached()
-        low, high = inside.min(axis=0) - 1.5 * hull.voxel, inside.max(axis=0) + 1.5 * hull.voxel
+        low, high = inside.min(axis=0) - MARGIN * hull.voxel, inside.max(axis=0) + MARGIN * hull.voxel
         voxel = max(float((high - low).max()) / options.resolution, options.finest * pixel)
         return cls(low, voxel, tuple(int(count) + 1 for count in np.ceil((high - low) / voxel)))
 

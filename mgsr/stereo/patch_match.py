@@ -22,6 +22,9 @@ from mgsr.parallel import map_ahead
 from mgsr.stereo.photographs import StereoPhotographs
 
 # A plane at each pixel of a view: depth [h,w], camera z, 0 where unknown; unit normal [h,w,3] in the world frame.
+NEAREST = 0.05  # least camera z of the search, in distances of the scene's centre
+LEAST_COSINE = 0.1  # least weight of a depth by the tilt of its surface
+
 Planes = tuple[np.ndarray, np.ndarray]
 
 
@@ -134,7 +137,7 @@ def search_range(camera: Camera, half_depth: float) -> tuple[float, float]:
     half_depth: of the search before and behind the scene's centre, in world units.
     """
     middle = float(camera.cam_from_world[2, 3])
-    nearest = max(middle - half_depth, 0.05 * abs(middle), 1e-3)
+    nearest = max(middle - half_depth, NEAREST * abs(middle), 1e-3)
     return nearest, max(middle + half_depth, 2 * nearest)
 
 
@@ -185,5 +188,5 @@ def _weights(
     scores = (found.score[rows, columns] - options.worthless) / (options.perfect - options.worthless)
     weights = np.zeros(found.depth.shape, np.float32)
     believed = (confirming >= options.min_confirming) & (confirming > against)
-    weights[rows, columns] = believed * np.clip(scores, options.least, 1) * np.clip(cosines, 0.1, 1)
+    weights[rows, columns] = believed * np.clip(scores, options.least, 1) * np.clip(cosines, LEAST_COSINE, 1)
     return weights

@@ -30,6 +30,7 @@ from mgsr.training.evaluate import gaussian_picture
 from mgsr.training.proxy_model import ProxyTraining, small_view, train_proxy_model
 
 DIGITS = 5  # decimal digits to which factors are rounded
+REWEIGHTINGS, HUBER = 8, 1.5  # of the fit of a factor: rounds, and deviations above which errors weigh less
 
 
 def find_exposures(
@@ -177,7 +178,7 @@ def _fitted(view: View, rendered: np.ndarray, usable: np.ndarray, options: Expos
     """Fit the factor [3] by which the photograph's linear light exceeds the rendering's [H,W,3] at usable pixels.
 
     usable [H,W] bool. The fit minimises relative errors, by iteratively reweighted least squares. Its Huber weights
-    reduce errors above 1.5 deviations. Returns None if too few pixels are usable.
+    reduce errors above HUBER deviations. Returns None if too few pixels are usable.
     """
     factor = np.ones(3)
     for channel in range(3):
@@ -188,12 +189,12 @@ def _fitted(view: View, rendered: np.ndarray, usable: np.ndarray, options: Expos
             return None
         target, there = target[bright], there[bright]
         found = float(np.median(target) / np.median(there))
-        for _ in range(8):
+        for _ in range(REWEIGHTINGS):
             if found <= 0:
                 return None
             error = target / (found * there) - 1
             spread = max(robust_deviation(error), 1e-3)
-            weight = np.minimum(1, 1.5 * spread / np.maximum(np.abs(error), 1e-9)) * (found * there < options.white)
+            weight = np.minimum(1, HUBER * spread / np.maximum(np.abs(error), 1e-9)) * (found * there < options.white)
             if not weight.any():
                 return None
             found = float((weight * target / there).sum() / weight.sum())

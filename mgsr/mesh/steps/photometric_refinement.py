@@ -12,6 +12,9 @@ from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult, reading_size
 from mgsr.shading.light_estimate import LightEstimate
 from mgsr.shading.photometric_refinement import refine_photometrically
 
+# Seconds on the reference scene: of each turn under a flash, and of the only turn under other light.
+FLASH_TURN, ONLY_TURN = 22.0, 13.0
+
 
 @dataclass(frozen=True)
 class PhotometricRefinement(MeshStep):
@@ -37,8 +40,8 @@ class PhotometricRefinement(MeshStep):
         if config.max_light_residual is None or not held:
             return 0.0
         if factors.flash:
-            return 22.0 * reading_size(factors, config)
-        return 13.0 * reading_size(factors, config) if self.turn == 1 else 0.0
+            return FLASH_TURN * reading_size(factors, config)
+        return ONLY_TURN * reading_size(factors, config) if self.turn == 1 else 0.0
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
         reach = context.config.photometric_reach or 0.0

@@ -17,6 +17,9 @@ from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult, reading_size
 from mgsr.shading.light_estimate import LightEstimate, LightKind, estimate_light
 from mgsr.shading.shape_from_shading import shape_from_shading
 
+# Seconds on the reference scene: of a round under a flash, and of the comparison of the light models.
+FLASH_ROUND, COMPARISON = 10.0, 2.0
+
 
 @dataclass(frozen=True)
 class ShapeFromShading(MeshStep):
@@ -45,8 +48,8 @@ class ShapeFromShading(MeshStep):
         if config.max_light_residual is None:
             return 0.0
         if factors.flash:
-            return 10.0 * self.rounds.rounds * reading_size(factors, config)
-        return 2.0 * reading_size(factors, config) if factors.shiny and self.turn == 1 else 0.0
+            return FLASH_ROUND * self.rounds.rounds * reading_size(factors, config)
+        return COMPARISON * reading_size(factors, config) if factors.shiny and self.turn == 1 else 0.0
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
         light = estimate_light(mesh, context.photos, context.config.max_light_residual or 0.0, light, self.light)

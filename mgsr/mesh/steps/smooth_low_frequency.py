@@ -12,6 +12,8 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult, surface_cells
 from mgsr.shading.light_estimate import LightEstimate, LightKind
 
+SMOOTHING = 2.5  # seconds on the reference scene
+
 
 @dataclass(frozen=True)
 class SmoothLowFrequency(MeshStep):
@@ -25,7 +27,8 @@ class SmoothLowFrequency(MeshStep):
         return wanted and light.kind is not LightKind.FLASH
 
     def cost(self, factors: CostFactors, config: MeshConfig) -> float:
-        return 2.5 * surface_cells(factors, config) ** 2 if config.regression_angle and not factors.flash else 0.0
+        applies = config.regression_angle and not factors.flash
+        return SMOOTHING * surface_cells(factors, config) ** 2 if applies else 0.0
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
         angle = context.config.regression_angle or 0.0

@@ -19,6 +19,8 @@ from mgsr.shading.light_estimate import LightEstimate
 from mgsr.shading.photo_set import PhotoSet
 
 SHOWN = 0.6  # the assumed extent of the object in a photograph, as a share of the image's side
+USUAL_CELLS = 256  # cells along a side of the reference scene's surface
+VERTEX_GROWTH = 1.2  # exponent by which the cost of sampling the photographs grows with the cells along a side
 
 Outcome = Mapping[str, float | bool | str]
 
@@ -119,9 +121,9 @@ def rendered_pixels(factors: CostFactors, config: MeshConfig) -> float:
 
 
 def surface_cells(factors: CostFactors, config: MeshConfig) -> float:
-    """Return the number of cells along a side of the extracted surface, relative to 256."""
+    """Return the number of cells along a side of the extracted surface, relative to USUAL_CELLS."""
     across = SHOWN * (rendered_pixels(factors, config) / factors.views) ** 0.5
-    return float(min(2**config.poisson_depth, across) / 256)
+    return float(min(2**config.poisson_depth, across) / USUAL_CELLS)
 
 
 def reading_size(factors: CostFactors, config: MeshConfig) -> float:
@@ -130,4 +132,4 @@ def reading_size(factors: CostFactors, config: MeshConfig) -> float:
     There is one vertex for each cell of the surface, but no more than pixels allow.
     """
     cells = min(1.0, 2**config.poisson_depth / factors.pixels**0.5)
-    return float((factors.views / 48 * factors.size) ** 0.7 * cells**1.2)
+    return float(factors.surface_work * cells**VERTEX_GROWTH)

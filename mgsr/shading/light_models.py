@@ -60,7 +60,9 @@ class FlashLight:
         if mesh.edge_length < self._options.footprint_edge * self._observer.pixel:
             observations = self._deconvolved(observations, mesh)
             self._flash = fit_flash(observations, *points, *seen, self._flash, self._options)
-        return normals_from_flash(observations, *points, self._flash, *seen, self._observer.threads, self._options)
+        return normals_from_flash(
+            observations, *points, self._flash, *seen, self._observer.photos.threads, self._options
+        )
 
     def lighting(self, mesh: Mesh) -> Lighting:
         options = self._options.irradiance
@@ -109,12 +111,12 @@ class FlashLight:
             )
 
         rays = self._options.footprint_rays
-        return deconvolve(observations, mesh, self._observer.photographs, shown, self._observer.threads, rays)
+        return deconvolve(observations, mesh, self._observer.photographs, shown, self._observer.photos.threads, rays)
 
     def _estimate_occlusion(self, mesh: Mesh) -> AmbientOcclusion:
         observer, options = self._observer, self._options.occlusion
         coarse = observer.coarser(mesh, options.edge, options.max_faces)
-        return estimate_occlusion(coarse, observer.photographs, observer.pixel, observer.threads, options)
+        return estimate_occlusion(coarse, observer.photographs, observer.pixel, observer.photos.threads, options)
 
 
 class EnvironmentLight:
@@ -132,7 +134,7 @@ class EnvironmentLight:
         self._observer, self._options, self._known = observer, options, known
 
     def explain(self, mesh: Mesh) -> TargetNormals:
-        options, pixel, threads = self._options, self._observer.pixel, self._observer.threads
+        options, pixel, threads = self._options, self._observer.pixel, self._observer.photos.threads
         observations = self._observer.observe(mesh).frontal(options.min_cosine)
         reach = options.normals.pooled * pixel / mesh.edge_length
         still = _near_sharp_edges(mesh, pixel, reach, options.normals.convex)

@@ -49,21 +49,25 @@ class PhotoSet:
 
     def observer(self, pixel: float) -> Observer:
         """Return an observer of meshes on which a pixel has the size `pixel`, in the scene's unit."""
-        return Observer(some_of(self.photographs), pixel, self.threads, self.options)
+        return Observer(self, pixel)
 
 
 @dataclass(frozen=True)
 class Observer:
     """Photographs that observe meshes; pixel: a pixel's size on the meshes, in the scene's unit."""
 
-    photographs: Sequence[Photograph]
+    photos: PhotoSet
     pixel: float
-    threads: int | None
-    options: ObservationOptions = ObservationOptions()
+
+    @property
+    def photographs(self) -> list[Photograph]:
+        """Return as many of the photographs as examine a surface."""
+        return some_of(self.photos.photographs)
 
     def observe(self, mesh: Mesh, lamps: np.ndarray | None = None) -> Observations:
         """Sample the photographs at a mesh's vertices. lamps [N,3]: as for `observe_photographs`."""
-        return observe_photographs(mesh, self.photographs, self.pixel, self.threads, lamps, self.options)
+        photos = self.photos
+        return observe_photographs(mesh, self.photographs, self.pixel, photos.threads, lamps, photos.options)
 
     def coarser(self, mesh: Mesh, edge: float, max_faces: int) -> Mesh:
         """Simplify a mesh to edges of `edge` pixels or longer, and to `max_faces` faces at most."""

@@ -25,7 +25,7 @@ from mgsr.pipeline.steps import StepClock, Steps
 from mgsr.segmentation.object_masks import NoObject
 from tests.segmentation.table_scene import TABLE, table_scene
 
-pytestmark = pytest.mark.usefixtures("grainy_pictures")
+pytestmark = pytest.mark.usefixtures("quick_report")
 
 SHORT = [
     "warmup.surfel_iterations=100",
@@ -38,6 +38,7 @@ FEW = [
     "surfels.max_start=4000",
     "gaussians.max_start=2000",
     "environment_map.iterations=0",
+    "max_environment_ratio=0",
     "mesh.poisson_depth=6",
     "expert.segmentation.search.iterations=300",
     "expert.segmentation.search.rounds=2",
@@ -155,7 +156,7 @@ def test_another_run_takes_the_masks_over(capture: Path, tmp_path: Path, monkeyp
         Image.fromarray(255 * mask.astype(np.uint8)).save(tmp_path / "masks" / f"{view.name}.png")
     (tmp_path / "object.json").write_text(json.dumps({"ground": [0.0, 0.0, 1.0, -TABLE]}))
     steps = Steps(StepClock(), ignore, lambda: False)
-    config = make_config(overrides=["object=auto"])
+    config = make_config(overrides=[*FEW, "object=auto"])
     scene, start = preprocess.preprocess(found, config, tmp_path, steps, reuse_object=True)
     assert scene.masked and scene.ground is not None and len(start.positions) > 100
     assert any("an earlier run found" in note for note in scene.notes)

@@ -18,7 +18,7 @@ from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import rendered_pixels, surface_cells
 
 GROWN = 0.15  # Gaussians added by error-driven growth, per pixel of a view
-STEREO = 18.5  # seconds per megapixel that stereo searches, of all photographs together
+STEREO = 13.2  # seconds per megapixel that stereo searches, of all photographs together
 FILLED = 0.1  # seconds per view for filling depths in regions without contrast
 STEREO_POINTS = 0.034  # starting points per pixel that stereo searches
 ROUNDS, FLASH_ROUNDS = 3, 10  # rounds of refining the surface, without and with a flash

@@ -9,6 +9,7 @@ from mgsr.budget.budget import TimeBudget
 from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
+from mgsr.export.draco import require_draco
 from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.export.usdz import require_usd
 from mgsr.gaussians.trained_model import TrainedModel
@@ -60,6 +61,8 @@ def run_scene(
     """
     if config.output.usdz:
         require_usd()
+    if config.output.draco:
+        require_draco()
     if isinstance(given, Scene):
         config = as_read(given, config)
     chosen = pick_device(device)

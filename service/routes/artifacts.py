@@ -28,6 +28,7 @@ BINARY = "application/octet-stream"
 SINGLE = {
     "mesh.ply": BINARY,
     "model.glb": "model/gltf-binary",
+    "model_draco.glb": "model/gltf-binary",
     "model.usdz": "model/vnd.usdz+zip",
     "environment.exr": "image/x-exr",
     "splats.ply": BINARY,

@@ -10,6 +10,7 @@ import { explain } from "../parts/words";
 
 const ABOUT: Record<string, string> = {
   "model.glb": "Textured model for viewers, games and modelling programs, y up",
+  "model_draco.glb": "The same, compressed for the web",
   "model.usdz": "The same for devices by Apple",
   "environment.exr": "The light around the object, to render it in",
   "mesh.obj": "Mesh for older programs",

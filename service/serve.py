@@ -21,7 +21,7 @@ READY_SECONDS = 30.0
 
 
 def serve(settings: Settings, host: str, port: int) -> None:
-    """Serve until SIGINT or SIGTERM. Raises SetupError where it can't start or go on."""
+    """Serve until SIGINT or SIGTERM. Raises SetupError if it can't start or go on."""
     _check_port(host, port)
     with _alone(settings.home):
         children = _children(settings, host, port)
@@ -109,7 +109,7 @@ def _check_port(host: str, port: int) -> None:
 def _alone(home: Path) -> Iterator[None]:
     """Hold the lock of this service's folder; the kernel releases it however this process ends.
 
-    Raises SetupError where another service holds it.
+    Raises SetupError if another service holds it.
     """
     home.mkdir(parents=True, exist_ok=True, mode=0o700)
     with (home / "serve.lock").open("w") as lock:

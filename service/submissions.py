@@ -88,7 +88,7 @@ def _check_limits(length: int, owner: str, parts: Parts) -> None:
 async def accepted(parts: Parts, record: JobRecord, kept: JobRecord) -> Response:
     """Queue a new job, and answer with the job on file.
 
-    Raises Problem where its idempotency key belongs to another submit.
+    Raises Problem if its idempotency key belongs to another submit.
     """
     if kept.archive == record.archive:
         await enqueue(parts, record, 0)

@@ -46,7 +46,7 @@ _MOVIES = (b"ftyp", b"moov", b"wide", b"mdat")
 
 @dataclass(frozen=True)
 class Received:
-    """A received upload. options: the text of the multipart field, None where there was none."""
+    """A received upload. options: the text of the multipart field, None if there was none."""
 
     size: int
     sha256: str

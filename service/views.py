@@ -68,7 +68,7 @@ class FindingView(BaseModel):
     amount: float = Field(description="How bad it is, in `unit`.")
     unit: str = Field(description="px, sr, deg, share, times, pairs or photographs.")
     cure: str = Field(description="What to do.")
-    photographs: list[str] = Field([], description="Those concerned; empty where it is all of them.")
+    photographs: list[str] = Field([], description="Those concerned; empty if it is all of them.")
     places: list[tuple[float, float, float]] = Field(
         [], description="Camera positions from which photographs are missing, in the capture's frame."
     )

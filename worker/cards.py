@@ -33,7 +33,7 @@ class Card:
 def all_cards() -> list[str]:
     """Return every device that this process may use: cards, and the instances of a card in MIG mode.
 
-    CUDA_VISIBLE_DEVICES limits them where it is set. Raises SetupError where there is none, and where NVML can't be
+    CUDA_VISIBLE_DEVICES limits them where it is set. Raises SetupError if there is none, and where NVML can't be
     asked.
     """
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
@@ -95,7 +95,7 @@ def _devices(card: Card) -> tuple[str, ...]:
 def ask_nvml() -> list[Card]:
     """Return the cards of this machine or container.
 
-    Raises SetupError where NVML or its package is missing or fails.
+    Raises SetupError if NVML or its package is missing or fails.
     """
     try:
         import pynvml

@@ -153,7 +153,7 @@ async def call(message: Message, allow_private: bool) -> str | None:
 
 
 async def _address(url: httpx.URL, allow_private: bool) -> str | None:
-    """Return an IP address of the host; None where it has any that may not be called."""
+    """Return an IP address of the host; None if it has any that may not be called."""
     port = url.port or {"http": 80, "https": 443}[url.scheme]
     found = await asyncio.get_running_loop().getaddrinfo(url.host, port, type=socket.SOCK_STREAM)
     addresses = [str(entry[4][0]) for entry in found]

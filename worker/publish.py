@@ -52,7 +52,7 @@ def headline(out: Path) -> dict[str, Any]:
 
 
 def findings(out: Path) -> list[dict[str, Any]] | None:
-    """Return what the check before training found; None where there was no check."""
+    """Return what the check before training found; None if there was no check."""
     document = _ESTIMATE if (out / _ESTIMATE).is_file() else "report.json"
     inspection = json.loads((out / document).read_text()).get("inspection")
     return None if inspection is None else list(inspection["findings"])

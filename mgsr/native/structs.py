@@ -66,7 +66,7 @@ class SurfelView(NamedTuple):
 class SurfelImages(NamedTuple):
     """The images of `mgsr.ops.surfels.SurfelRaster`: color and normal [H,W,3], the others [H,W].
 
-    distortion: None where it is not asked for.
+    distortion: None if it is not asked for.
     """
 
     color: Tensor
@@ -136,7 +136,7 @@ class GaussianView(NamedTuple):
 class GaussianImages(NamedTuple):
     """The images of `mgsr.ops.gaussians.GaussianRaster`: color and reflected [H,W,3], the others [H,W].
 
-    depth: None where it is not asked for; reflected, weight: None for a single opacity.
+    depth: None if it is not asked for; reflected, weight: None for a single opacity.
     """
 
     color: Tensor

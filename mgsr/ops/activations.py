@@ -70,7 +70,7 @@ def activated(launcher: Launcher | None, kinds: Sequence[Activation], stored: Se
 def activated_vjp(
     launcher: Launcher | None, kinds: Sequence[Activation], used: Sequence[Tensor], v_used: Sequence[Tensor | None]
 ) -> list[Tensor | None]:
-    """Return the stored parameters' gradients [...], given those of the activated values; None where there is none."""
+    """Return the stored parameters' gradients [...], given those of the activated values; None if there is none."""
     if launcher is None:
         return [_vjp(*each) for each in zip(kinds, used, v_used, strict=True)]
     v_stored = [torch.empty_like(each) for each in used]

@@ -90,7 +90,7 @@ class FusedAdam:
     def set_lrs(self, lrs: Mapping[str, float]) -> None:
         """Change all learning rates from the next step on; there may be more names than parameters.
 
-        Raises TensorError where a parameter's is missing.
+        Raises TensorError if a parameter's is missing.
         """
         if not self.params.keys() <= lrs.keys():
             raise TensorError(f"set_lrs: expected a rate for each of {sorted(self.params)}, got {sorted(lrs)}")
@@ -142,7 +142,7 @@ class FusedAdam:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore what `state_dict` returned, for parameters of the same names and shapes.
 
-        Raises CheckpointError where they differ.
+        Raises CheckpointError if they differ.
         """
         for key in ("first", "second"):
             came = {name: tuple(t.shape) for name, t in state[key].items()}

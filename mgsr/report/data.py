@@ -175,7 +175,7 @@ class ReportData:
     """A whole run.
 
     seconds: by step and stage, with `total`. gaussians: splats by branch. gt: scores against the true surface by
-    name, in the units of `mgsr.metrics`; None where no truth lies beside the scene. Fields with the default None stand
+    name, in the units of `mgsr.metrics`; None if no truth lies beside the scene. Fields with the default None stand
     in report.json only where the run has them.
 
     light: the kind of light in the photographs. start_kept: whether the

@@ -41,7 +41,7 @@ def shrunk(pixels: np.ndarray, max_side: int) -> np.ndarray:
 def webp(pixels: np.ndarray) -> bytes:
     """Encode a picture [H,W,3] or [H,W,4] uint8 as a WebP file.
 
-    Raises MgsrError where OpenImageIO can't write one.
+    Raises MgsrError if OpenImageIO can't write one.
     """
     import OpenImageIO
 

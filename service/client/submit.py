@@ -42,7 +42,7 @@ def submit_scene(server: str, key: str | None, scene: Path, options: JobOptions,
 def rerun_job(server: str, key: str | None, job: str, options: dict[str, Any], out: Path | None) -> int:
     """Run an earlier job again with some other options, and return the program's exit code.
 
-    With `out`, wait for the new job and put its results there. Raises SetupError where the service refuses it.
+    With `out`, wait for the new job and put its results there. Raises SetupError if the service refuses it.
     """
 
     def talk(client: Client, console: Console) -> int:

@@ -58,7 +58,7 @@ class Archives:
         self._store.download(path, *([part.key for part in self.parts(archive)] or [archive]))
 
     def copy(self, archive: str, target: str) -> bool:
-        """Copy an archive, and return True; return False where there is none."""
+        """Copy an archive, and return True; return False if there is none."""
         parts = self.parts(archive)
         if not parts:
             return self._store.copy(archive, target)

@@ -119,7 +119,7 @@ def find_setting(key: str) -> str:
 
 
 def _renamed(key: str) -> str:
-    """Return a key with each name of RENAMED in it replaced; the key itself where it has none."""
+    """Return a key with each name of RENAMED in it replaced; the key itself if it has none."""
     for name, new in RENAMED.items():
         key = re.sub(rf"(?<![^.]){re.escape(name)}(?![^.])", new, key)
     return key
@@ -135,7 +135,7 @@ def parse_setting(text: str) -> tuple[str, SettingValue]:
 
 
 def _parse(text: str, schemas: list[dict[str, Any]]) -> SettingValue:
-    """Return the text as the first type that can read it; the text itself where none can."""
+    """Return the text as the first type that can read it; the text itself if none can."""
     for schema in schemas:
         try:
             match schema["type"]:

@@ -65,7 +65,7 @@ class Settings(BaseSettings):
     publish_patience: float = 900.0  # time for which a worker tries to send results to a store that doesn't answer
 
     def need_redis(self) -> str:
-        """Return the queue server's address. Raises SetupError where none is set."""
+        """Return the queue server's address. Raises SetupError if none is set."""
         if self.redis_url is None:
             raise SetupError(
                 "MGSR_REDIS_URL is not set; set it to the address of the Redis server (redis://host:6379/0), or use "

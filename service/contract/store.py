@@ -74,7 +74,7 @@ class Store:
             obstore.put(self._backend, key, data)
 
     def copy(self, key: str, target: str) -> bool:
-        """Copy an object to another key, and return True; return False where there is none."""
+        """Copy an object to another key, and return True; return False if there is none."""
         with _failures(key):
             try:
                 obstore.copy(self._backend, key, target)

@@ -18,9 +18,9 @@ ENDPOINTS = ("OTEL_EXPORTER_OTLP_TRACES_ENDPOINT", "OTEL_EXPORTER_OTLP_ENDPOINT"
 
 
 def open_telemetry(program: str) -> TracerProvider | None:
-    """Return the tracer provider that sends this program's spans; None where no endpoint is set.
+    """Return the tracer provider that sends this program's spans; None if no endpoint is set.
 
-    Raises SetupError where the packages are missing.
+    Raises SetupError if the packages are missing.
     """
     if not any(os.environ.get(name) for name in ENDPOINTS):
         return None

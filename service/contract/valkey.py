@@ -51,7 +51,7 @@ class EmbeddedServer:
 def prepare_server(home: Path) -> EmbeddedServer:
     """Write the server's settings under `home`/queue, with a new password, and return how to start it.
 
-    Raises SetupError where no server program is found.
+    Raises SetupError if no server program is found.
     """
     folder = home / "queue"
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -96,7 +96,7 @@ def _bundled() -> Path:
 def _socket_folder(folder: Path) -> Path:
     """Return the folder itself, or a private temporary one where its path is too long for a socket.
 
-    Raises SetupError where that folder is not this user's alone.
+    Raises SetupError if that folder is not this user's alone.
     """
     if len(str(folder / "valkey.sock")) <= _LONGEST_SOCKET:
         return folder

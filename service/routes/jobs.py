@@ -303,7 +303,7 @@ def _changed_options(earlier: JobOptions, text: str | None) -> JobOptions:
 
 
 async def _check_request_room(request: Request, owner: str, parts: Parts) -> None:
-    """Raise Problem where the request is too large, or its owner may not submit it now."""
+    """Raise Problem if the request is too large, or its owner may not submit it now."""
     limit = parts.settings.max_upload
     text = request.headers.get("content-length", "0")
     length = int(text) if text.isascii() and text.isdigit() else 0
@@ -346,7 +346,7 @@ def _rerun_record(job: str, source: JobRecord, options: JobOptions) -> JobRecord
 def _file_rerun(parts: Parts, source: JobRecord, record: JobRecord) -> JobRecord:
     """File a job with a copy of another's archive and found results; return the job on file.
 
-    Raises Problem where the archive is gone.
+    Raises Problem if the archive is gone.
     """
     earlier = parts.jobs.record(record.id)
     if earlier is not None:

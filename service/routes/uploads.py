@@ -256,7 +256,7 @@ def _headers(state: UploadState) -> dict[str, str]:
 
 
 def _options(metadata: str) -> JobOptions | None:
-    """Return the options in Upload-Metadata, None where there are none. Raises Problem."""
+    """Return the options in Upload-Metadata, None if there are none. Raises Problem."""
     pairs = dict(pair.strip().partition(" ")[::2] for pair in metadata.split(",") if pair.strip())
     if "options" not in pairs:
         return None

@@ -86,7 +86,7 @@ void bind_choices(nb::module_& m, IsaChoice<Table>& choice) {
 
 }  // namespace mgsr
 
-// The three tables of a family, null where a variant was not compiled.
+// The three tables of a family, null if a variant was not compiled.
 #if defined(MGSR_HAVE_avx512)
 #define MGSR_TABLES(table) &mgsr::avx512::table, &mgsr::avx2::table, &mgsr::baseline::table
 #else

@@ -82,7 +82,7 @@ def arch_for(major: int, minor: int) -> str:
 def default_cache_dir() -> Path | None:
     """Return where machine code is kept: `MGSR_CUDA_CACHE`, or mgsr/cuda in the user's cache folder.
 
-    None where the user has no home to have one in.
+    None if the user has no home to have one in.
     """
     if own := os.environ.get("MGSR_CUDA_CACHE"):
         return Path(own)

@@ -39,7 +39,7 @@ class KernelCache:
         self._lock = threading.Lock()
 
     def get(self, key: bytes) -> bytes | None:
-        """Return the machine code of a key; None where there is none that is whole."""
+        """Return the machine code of a key; None if there is none that is whole."""
         from cuda.core.utils import FileStreamProgramCache
 
         if self._folder is None:

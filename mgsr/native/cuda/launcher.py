@@ -186,7 +186,7 @@ def compiler_version() -> tuple[int, int]:
 def check_driver(driver_version: int, compiler: tuple[int, int]) -> None:
     """Check that a driver is not of an older major version than the compiler, whose machine code it would refuse.
 
-    driver_version: as cuDriverGetVersion gives it, 12040 for 12.4. Raises GpuError where it is older.
+    driver_version: as cuDriverGetVersion gives it, 12040 for 12.4. Raises GpuError if it is older.
     """
     major, minor = driver_version // 1000, driver_version % 1000 // 10
     if major < compiler[0]:

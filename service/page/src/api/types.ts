@@ -27,7 +27,7 @@ export interface Finding {
   amount: number;
   unit: string;
   cure: string;
-  /** Those concerned; empty where it is all of them. */
+  /** Those concerned; empty if it is all of them. */
   photographs: string[];
   /** Camera positions from which photographs are missing. */
   places: [number, number, number][];

@@ -27,7 +27,7 @@ const TYPES: [RegExp, string][] = [
 // What systems leave behind in folders.
 const LITTER = /(^|\/)(\.|__MACOSX\/|Thumbs\.db$|desktop\.ini$)/;
 
-/** Files with their paths, as one capture; null where there is none. */
+/** Files with their paths, as one capture; null if there is none. */
 export function captureOf(members: Member[]): Capture | null {
   const kept = members.filter(({ path }) => !LITTER.test(path));
   if (kept.length === 0) return null;

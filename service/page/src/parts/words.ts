@@ -149,14 +149,14 @@ export function activity(job: Job): string {
   return job.step === "train" && job.stage !== null ? `${step}: ${stageWord(job.stage)}` : step;
 }
 
-/** How long it will take, `waited` seconds after the service said so; empty where nobody knows. */
+/** How long it will take, `waited` seconds after the service said so; empty if nobody knows. */
 export function remaining(job: Job, waited: number): string {
   if (job.eta_seconds !== null) return timeLeft(Math.max(0, job.eta_seconds - waited));
   if (job.step_eta_seconds === null) return "";
   return `for this step: ${timeLeft(Math.max(0, job.step_eta_seconds - waited))}`;
 }
 
-/** How long a job is kept; empty where nothing limits it. */
+/** How long a job is kept; empty if nothing limits it. */
 export function stayWord(job: Job): string {
   if (job.pinned) return "kept";
   return job.expires === null ? "" : `will be deleted ${moment(job.expires)}`;

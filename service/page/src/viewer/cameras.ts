@@ -35,7 +35,7 @@ const CLICK = 4; // pixels that the pointer may move in a click
 const COLORS: Record<Finding["severity"], string> = { error: "--bad", warning: "--bad", note: "--accent" };
 
 /** A view of cameras. severities: of the worst finding on each; missing: places without photographs; chosen: called
- * with the index of the photograph that a person clicks. Throws where the browser has no WebGL 2. */
+ * with the index of the photograph that a person clicks. Throws if the browser has no WebGL 2. */
 export function openCameras(
   found: Photographs,
   severities: (Finding["severity"] | null)[],

@@ -50,7 +50,7 @@ export class Lighting {
     this.element = h("div", { class: "lighting" }, file !== null && choice, turn);
   }
 
-  /** The light that is chosen. Throws where environment.exr can't be read. */
+  /** The light that is chosen. Throws if environment.exr can't be read. */
   environment(): Environment {
     const map = (this.maps[this.light] ??= this.light === "own" ? ownLight(this.file!) : studioLight(this.renderer));
     const turned = (this.slider.valueAsNumber * Math.PI) / 180;

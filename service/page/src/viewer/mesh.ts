@@ -60,7 +60,7 @@ export class MeshObject {
   }
 }
 
-/** The mesh, moved to the scene's origin. Throws where there is none in the file. */
+/** The mesh, moved to the scene's origin. Throws if there is none in the file. */
 export async function loadMesh(file: ArrayBuffer): Promise<MeshObject> {
   const loader = new GLTFLoader().register(withImages);
   const { scene } = await loader.parseAsync(file, "");

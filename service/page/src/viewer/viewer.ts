@@ -23,7 +23,7 @@ export interface Files {
   environment: ArrayBuffer | null;
 }
 
-/** A viewer of a mesh and of splats. Throws where a file can't be read or the browser has no WebGL 2. */
+/** A viewer of a mesh and of splats. Throws if a file can't be read or the browser has no WebGL 2. */
 export async function openViewer({ mesh, splats, environment }: Files): Promise<Viewer> {
   const renderer = new WebGLRenderer({ antialias: true, alpha: true });
   const surface = await loadMesh(mesh);

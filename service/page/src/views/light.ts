@@ -26,7 +26,7 @@ export class LightSplit {
   private layers: Layers | null = null;
   private left = false;
 
-  /** The section; null where the job's light was not split. */
+  /** The section; null if the job's light was not split. */
   static of(service: Service, job: Job, artifacts: Artifact[]): LightSplit | null {
     const held = new Map(artifacts.map((artifact) => [artifact.name, artifact]));
     const views = artifacts
@@ -123,7 +123,7 @@ function between(at: number): string {
   return `Own colour and reflections, ${at < 0 ? `reflections at ${100 + at} %` : `own colour at ${100 - at} %`}`;
 }
 
-/** Pictures of one view, of one size. reflected: times the weight, to be added; even: null where there was no flash. */
+/** Pictures of one view, of one size. reflected: times the weight, to be added; even: null if there was no flash. */
 interface Layers {
   even: ImageBitmap | null;
   full: ImageBitmap;

@@ -16,7 +16,7 @@ from mgsr.ops.arrays import once_differentiable, plain
 
 # exp of a larger number nears float32's maximum. An infinite scale would turn its zero gradient into NaN.
 LARGEST_LOG_SCALE = 80.0
-LARGEST_SCALE = (1 - 1e-6) * math.exp(LARGEST_LOG_SCALE)  # less than any rounding of that exponential
+LARGEST_SCALE = (1 - 1e-6) * math.exp(LARGEST_LOG_SCALE)  # less than any rounded value of that exponential
 
 
 def activate(log_scales: Tensor, *logits: Tensor) -> tuple[Tensor, ...]:

@@ -11,8 +11,7 @@ constexpr float kLn2 = 0.69314718056f;
 constexpr float kExponentScale = 0.72134752044f, kRootExponentScale = 0.84932180028f;
 constexpr float kNever = 1e6f;  // L of an edge-on splat: its disk counts nowhere
 
-// Whether a splat is so much longer than wide on the image (over 30 times, by its L) that moments over pixels lose its
-// width.
+// Whether a splat's image, by its L, is over 30 times as long as wide. Moments over pixels then lose its width.
 MGSR_HD bool is_needle(const float L[4]) {
   const float trace = L[0] * L[0] + L[1] * L[1] + L[2] * L[2] + L[3] * L[3], det = L[0] * L[3] - L[1] * L[2];
   return !(trace * trace < 1e3f * det * det);

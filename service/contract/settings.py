@@ -14,12 +14,12 @@ GIB = 1 << 30
 
 
 def default_home() -> Path:
-    """Return where a person's own service keeps everything: by the XDG rule, ~/.local/share/mgsr."""
+    """Return the folder in which a user's own service keeps its data: ~/.local/share/mgsr, by the XDG rules."""
     return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local/share") / "mgsr"
 
 
 def machine_memory() -> int:
-    """Return the memory, bytes, of this process's machine, or of its container."""
+    """Return the memory in bytes of this machine, or of this process's container."""
     physical = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     try:
         limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()

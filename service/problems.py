@@ -114,7 +114,7 @@ async def _redis(request: Request, error: Exception) -> Response:
 
 
 async def _gone(request: Request, error: Exception) -> Response:
-    """Return a problem for the metrics alone, since the client has disconnected."""
+    """Return a problem that only the metrics count, since the client has disconnected."""
     return Problem(400, "upload_cut", "the connection closed before the request was complete").response()
 
 

@@ -184,7 +184,7 @@ class Attempt:
             store.download(path, f"{folder}{name}")
 
     def _run_process(self) -> Outcome | None:
-        """Run the job process to its end; return the outcome unless its results decide it."""
+        """Run the job process to its end. Returns the outcome, or None if the results are to be published."""
         killed_before = _kernel_kills()
         process = JobProcess(self._write_spec(), self._scratch)
         self._carrier.start()
@@ -198,7 +198,7 @@ class Attempt:
             return None
         if reason is not None:
             return self._stopped(reason, ended.peak_memory)
-        if result is not None and result.status == "stopped":  # by somebody else's signal
+        if result is not None and result.status == "stopped":  # by a signal of another program
             self._keep_checkpoint()
             raise Interrupted(lost=True)
         if result is None:

@@ -25,11 +25,11 @@ from service.contract.webhooks import is_public, webhook_secret
 log = logging.getLogger("mgsr.worker")
 
 TRY_SECONDS = 20.0  # for one call, from the name's lookup to the answer
-# Seconds from one try to the next; the last for all that follow.
+# Seconds from one try to the next; the last value holds for all further tries.
 BACK_OFF = (5, 30, 120, 600, 1800, 3600)
 GIVEN_UP_SECONDS = 86400.0
-AT_ONCE = 16  # calls at the same time
-_GONE = 410  # the receiver wants no more
+AT_ONCE = 16  # the most simultaneous calls
+_GONE = 410  # the receiver wants no more messages
 
 
 @dataclass(frozen=True)

@@ -42,9 +42,8 @@ def share_lenses(shots: Sequence[PhotoFile]) -> list[SharedLens]:
     """Group photographs by camera, in the order in which the cameras first appear.
 
     Photographs share a lens if they have the same size and EXIF (maker, model, lens, body, focal lengths, digital
-    zoom). The camera's orientation does not matter, as sizes refer to the stored pixels. Photographs without such EXIF,
-    such as video frames and pictures from messengers, share a lens if size and folder are the same, as rigs have one
-    folder per camera.
+    zoom). The camera's orientation does not matter, as sizes refer to the stored pixels. Video frames and pictures from
+    messengers have no such EXIF. They share a lens if size and folder are the same, as rigs have one folder per camera.
     """
     groups: dict[tuple[CameraTags, tuple[int, int], str], list[PhotoFile]] = {}
     for shot in shots:

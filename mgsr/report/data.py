@@ -13,8 +13,8 @@ from typing import Any, get_args, get_origin, get_type_hints
 class StageRun:
     """A training stage.
 
-    It has the number of iterations, the reason of its end (iterations, converged, budget or deadline), and the number
-    of splats that were pruned at its end because of their low contribution.
+    It has the number of iterations and the reason of its end (iterations, converged, budget or deadline). dropped: the
+    number of splats that were pruned at the end because of their low contribution.
     """
 
     iterations: int

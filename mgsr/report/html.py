@@ -176,10 +176,10 @@ def _object_masks(pictures: Sequence[Picture]) -> str:
     if not pictures:
         return ""
     return (
-        "<section><h2>The object that was found</h2><p>The capture has no masks, so MGSR found the object itself. Grey "
-        "is what it left out. The figure under a photograph says how well its mask agrees with the other "
-        "photographs&rsquo; masks; the photographs range from the worst to the best. To correct a mask, edit its file "
-        "in <code>masks/</code>, put the folder beside the photographs, and run again.</p>"
+        "<section><h2>The found object</h2><p>The capture has no masks, so MGSR found the object itself. Everything "
+        "else is grey. The figure under a photograph tells how well its mask agrees with the masks of the other "
+        "photographs. The photographs range from the worst to the best. To correct a mask, edit its file in "
+        "<code>masks/</code>, put the folder beside the photographs, and run again.</p>"
         f"{_row('Mask of', pictures, TILE_SIDE, 'three')}</section>"
     )
 

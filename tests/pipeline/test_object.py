@@ -81,7 +81,7 @@ def test_renders_have_a_background(done: Path, capture: Path) -> None:
         assert apart[~mask].mean() < 60 and apart[mask].mean() < 20
     report = json.loads((done / "report.json").read_text())
     assert report["psnr_whole_test"] == pytest.approx(np.mean([v["psnr_whole"] for v in report["views"].values()]))
-    assert "The object that was found" in (done / "report.html").read_text()
+    assert "The found object" in (done / "report.html").read_text()
     camera = scene.user_from_scene.camera_to_user(scene.test[0].camera)
     again = mgsr.render(mgsr.load_result(done), camera).whole
     written = np.array(Image.open(done / "renders" / "test" / f"{scene.test[0].name}_whole.png"))

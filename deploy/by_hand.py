@@ -1,12 +1,12 @@
-"""Builds the images' file systems without Docker: reads the Dockerfiles and does what they say, in chroots.
+"""Build the images' file systems without Docker, by executing the Dockerfiles in chroots.
 
 debootstrap --variant=minbase bookworm BASE
 python deploy/by_hand.py BASE OUT [--only service] [--build-arg NAME=VALUE] [--bind PATH[:INSIDE]]
 
-Needs root. OUT/<image> becomes the final stage's root, OUT/<image>.json its ENV, USER, WORKDIR, HEALTHCHECK and CMD.
-BASE stands for every FROM that names no stage. --bind shows a path of this machine to the commands while they run,
-read-only, such as certificates or a package index; PIP_* variables are passed on. It knows the instructions that our
-Dockerfiles use, and refuses others.
+Needs root. OUT/<image> becomes the root of the final stage, and OUT/<image>.json has its ENV, USER, WORKDIR,
+HEALTHCHECK and CMD. BASE replaces every FROM that names no stage. --bind mounts a path of this machine read-only for
+the commands, such as certificates or a package index. PIP_* variables are passed on. Instructions that our Dockerfiles
+do not use are refused.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Instruction = tuple[str, str]
 
 @dataclass
 class Stage:
-    """A root folder and what the image says of it."""
+    """A root folder, and the image's settings for it."""
 
     root: Path
     env: dict[str, str] = field(default_factory=dict)
@@ -42,14 +42,17 @@ class Stage:
 
 
 def read_dockerfile(text: str) -> list[Instruction]:
-    """Its instructions in order: name and the rest, continued lines joined."""
+    """Return the instructions of a Dockerfile in order, as name and rest, with continued lines joined."""
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     joined = re.sub(r"\\\n\s*", "", "\n".join(lines))
     return [(line.split(maxsplit=1)[0].upper(), line.split(maxsplit=1)[1]) for line in joined.splitlines()]
 
 
 def stages(instructions: list[Instruction]) -> Iterator[tuple[str, list[Instruction]]]:
-    """Each stage's name (the last one's is empty) and its instructions after FROM."""
+    """Yield each stage's name and its instructions after FROM. The last stage has an empty name.
+
+    Raises ValueError for another instruction than ARG before the first FROM.
+    """
     found: list[tuple[str, list[Instruction]]] = []
     for name, rest in instructions:
         if name == "FROM":
@@ -57,12 +60,12 @@ def stages(instructions: list[Instruction]) -> Iterator[tuple[str, list[Instruct
         elif found:
             found[-1][1].append((name, rest))
         elif name != "ARG":
-            raise ValueError(f"{name} before FROM: only ARG may stand there")
+            raise ValueError(f"{name}: expected only ARG before FROM; move it into a stage")
     yield from found
 
 
 class Builder:
-    """Builds stages; equal stages of several Dockerfiles once."""
+    """A builder of stages, which builds equal stages of several Dockerfiles only once."""
 
     def __init__(self, base: Path, out: Path, args: dict[str, str], binds: list[str]) -> None:
         self._base, self._out, self._args, self._binds = base, out, args, binds
@@ -109,7 +112,7 @@ class Builder:
             elif name == "HEALTHCHECK":
                 stage.health = json.loads(rest.split("CMD", 1)[1])
             elif name != "EXPOSE":
-                raise ValueError(f"{name}: an instruction that this script does not know")
+                raise ValueError(f"{name}: this script does not support the instruction; add it to Builder._stage")
         return stage
 
     def _run(self, stage: Stage, args: dict[str, str], command: str) -> None:
@@ -127,8 +130,11 @@ _PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 
 @contextmanager
 def mounted(root: Path, binds: list[str]) -> Iterator[None]:
-    """/proc, /dev and paths of this machine inside a root, for a while. Read-only: what a package's installation writes
-    there (certificates, for one) would land in this machine."""
+    """Mount /proc, /dev and paths of this machine inside a root for a block.
+
+    The mounts are read-only, because installed packages may write there (certificates, for example), and would change
+    this machine.
+    """
     with ExitStack() as undo:
         for bind in ["/proc", "/dev", *binds]:
             path, _, place = bind.partition(":")
@@ -161,12 +167,12 @@ def _copy(stage: Stage, rest: str, named: dict[str, Stage]) -> None:
             shutil.copy2(found, to)
 
 
-# What .dockerignore leaves out of folders that are copied.
+# The files in copied folders that .dockerignore excludes.
 _ignored = shutil.ignore_patterns("__pycache__", "*.so", "node_modules")
 
 
 def main() -> None:
-    """Build what the command line asks for."""
+    """Build the images of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("base", type=Path)
     parser.add_argument("out", type=Path)

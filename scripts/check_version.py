@@ -13,17 +13,17 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def package_version() -> str:
-    """Return the version as mgsr/__init__.py has it: the only place that says it."""
+    """Return the version in mgsr/__init__.py, which is its only definition."""
     found = re.search(r'__version__ = "([^"]+)"', (ROOT / "mgsr/__init__.py").read_text(encoding="utf-8"))
     assert found is not None
     return found[1]
 
 
 def disagreement(tag: str) -> str | None:
-    """Return what is wrong with a tag, or None."""
+    """Return a message on how a tag disagrees with the sources, or None."""
     version = package_version()
     if tag != f"v{version}":
-        return f"the tag is {tag}, but mgsr/__init__.py has {version}"
+        return f"tag: expected v{version}, the version in mgsr/__init__.py, got {tag}"
     if f"## {version}" not in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").splitlines():
         return f"CHANGELOG.md has no heading '## {version}'"
     return None

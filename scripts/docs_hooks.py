@@ -1,7 +1,7 @@
 """Hooks of mkdocs (mkdocs.yml).
 
-Formulas become MathML, which browsers show without scripts; the tables of settings are read from mgsr/config; pages
-that a build makes are added to the menu; links into the sources lead to them.
+They convert formulas to MathML, which browsers show without scripts. They insert the tables of settings from
+mgsr/config, add generated pages to the menu, and turn links into the sources into names of files.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ TABLES = {
     "<!-- settings of mgsr/config/expert -->": expert_markdown,
 }
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.S)
-# Made from measurements by other scripts; the menu names them where they are.
+# Pages that other scripts make from measurements. The menu has those that exist.
 MADE = {"evidence.md": "Evidence"}
 
 
 def on_config(config: Any) -> Any:
-    """Add the pages that were made to the part "Understand" of the menu."""
+    """Add the generated pages to the part "Understand" of the menu."""
     part = next(entry["Understand"] for entry in config["nav"] if "Understand" in entry)
     part += [{title: name} for name, title in MADE.items() if (Path(config["docs_dir"]) / name).is_file()]
     return config
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Put the settings where a page asks for them, and turn links that leave docs/ into names of files."""
+    """Insert the tables of settings at their marks, and turn links that leave docs/ into names of files."""
     for mark, table in TABLES.items():
         if mark in markdown:
             markdown = markdown.replace(mark, table())
@@ -45,7 +45,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def on_page_content(text: str, **_: Any) -> str:
-    """Turn LaTeX into MathML."""
+    """Convert LaTeX to MathML."""
     return FORMULA.sub(_formula, text)
 
 

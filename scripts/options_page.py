@@ -1,4 +1,4 @@
-"""The settings of mgsr/config as tables in Markdown: name, default, meaning, as the comments there have them.
+"""Print the settings of mgsr/config as Markdown tables of name, default and meaning, which is the comment there.
 
 python scripts/options_page.py
 """
@@ -23,14 +23,14 @@ PAPER, EXPERT = "train.paper", "expert"
 
 
 def settings_markdown() -> str:
-    """Return a heading and a table for each group that users set, then what the presets and methods change."""
+    """Return a heading and a table for each group of user settings, then the changes by presets and methods."""
     apart = (PAPER, EXPERT)
     parts = [_group(prefix, node) for prefix, node in _groups(Config()) if prefix and not prefix.startswith(apart)]
     return "\n\n".join([*parts, _rows("presets", PRESETS), _rows("methods", METHODS)])
 
 
 def paper_markdown() -> str:
-    """Return the table of the settings that only reproduce the paper's rows, then what each row changes."""
+    """Return the table of the settings that only reproduce the paper's rows, then the changes of each row."""
     return "\n\n".join([_group(PAPER, Config().train.paper), _rows("rows of the paper's ablation", ABLATIONS)])
 
 
@@ -40,7 +40,7 @@ def expert_markdown() -> str:
 
 
 def _groups(node: Any, prefix: str = "") -> list[tuple[str, Any]]:
-    """List every nested dataclass with its dotted path, from the outside in."""
+    """Return every nested dataclass with its dotted path, outer ones first."""
     found = [(prefix, node)]
     for field in dataclasses.fields(node):
         value = getattr(node, field.name)
@@ -64,7 +64,7 @@ def _group(prefix: str, node: Any) -> str:
 
 
 def _choices(kind: Any) -> str:
-    """Return what an enum's own text says of its members."""
+    """Return the values of an enum with their meanings, from its docstring."""
     for part in (kind, *get_args(kind)):
         if inspect.isclass(part) and issubclass(part, StrEnum):
             names = ", ".join(f"`{member}`" for member in part)
@@ -79,7 +79,7 @@ def _shown(value: Any) -> str:
 
 
 def _rows(title: str, table: dict[str, dict[str, str]]) -> str:
-    """Return a table of what each name of PRESETS, METHODS or ABLATIONS sets."""
+    """Return a table of the settings that each name of PRESETS, METHODS or ABLATIONS changes."""
     lines = [f"### What the {title} set", "", "| | |", "|---|---|"]
     lines += [
         f"| `{name}` | {', '.join(f'`{key}={value}`' for key, value in changed.items()) or 'the defaults'} |"

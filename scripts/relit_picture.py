@@ -1,4 +1,4 @@
-"""Make the docs' picture of the textured model in new light from a finished run's report.
+"""Extract the picture of the textured model in new light, for the docs, from the report of a run.
 
 python scripts/relit_picture.py out/teapot_hdr/report.html docs/images/relit.png
 """

@@ -1,4 +1,4 @@
-"""Make the README's picture from a finished run.
+"""Make the README's picture from the results of a run.
 
     python scripts/result_picture.py examples/glossy_knot out/demo r_1 docs/images/result.png
 
@@ -21,7 +21,7 @@ from mgsr.report.shading import MeshPainter, PaintedMesh
 
 
 def on_white(path: Path) -> np.ndarray:
-    """Read an image, [H,W,3] uint8, over white where it has alpha."""
+    """Read an image as [H,W,3] uint8, composited on white if it has alpha."""
     image = Image.open(path).convert("RGBA")
     return np.asarray(Image.alpha_composite(Image.new("RGBA", image.size, "white"), image).convert("RGB"))
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("mgsr.service")
 
-# Seconds for which a request waits for a store that doesn't answer.
+# The seconds for which a request waits for a store that doesn't answer.
 STORE_PATIENCE = 4.0
 
 

@@ -1,4 +1,4 @@
-"""Receive a request's bytes into parts of an archive, so that a broken connection loses none that have arrived."""
+"""Receive a request's bytes into parts of an archive, so that a broken connection loses no received bytes."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from service.uploads import HEAD_BYTES, check_kind, timed
 # The bytes of a part. If the service itself is killed, at most one part is lost.
 PART_BYTES = 32 << 20
 CHECKSUMS = ("sha1", "sha256", "sha512")
-CHECKSUM_MISMATCH = 460  # of tus; HTTP has no such status
+CHECKSUM_MISMATCH = 460  # defined by tus, not by HTTP
 
 
 class Checksum:
     """The expected checksum of one request's bytes: the algorithm, a blank, and the sum in base64."""
 
     def __init__(self, text: str) -> None:
-        """Parse the header Upload-Checksum. Raises Problem."""
+        """Parse the header Upload-Checksum. Raises Problem if it is malformed."""
         name, _, encoded = text.partition(" ")
         with suppress(binascii.Error):
             if name in CHECKSUMS:
@@ -79,7 +79,7 @@ async def append(
 
 
 async def _write_part(store: Store, key: str, chunk: bytes, body: _AppendedBody) -> int:
-    """Write one part from this chunk on; return its size."""
+    """Write one part that begins with this chunk, and return its size."""
     size = 0
     async with store.writer(key) as writer:
         while chunk:
@@ -90,7 +90,7 @@ async def _write_part(store: Store, key: str, chunk: bytes, body: _AppendedBody)
 
 
 class _AppendedBody:
-    """A request's bytes, which are counted and checked. trouble: the error that ended them early."""
+    """A request's body, whose bytes are counted and checked. trouble: the error that ended it early."""
 
     def __init__(self, chunks: AsyncIterator[bytes], state: UploadState, checksum: Checksum | None) -> None:
         self._chunks, self._checksum = chunks, checksum
@@ -99,7 +99,7 @@ class _AppendedBody:
         self.trouble: Problem | ClientDisconnect | None = None
 
     async def read(self) -> bytes:
-        """Return the next bytes; none at the end. Raises Problem for bytes that don't belong to the upload."""
+        """Return the next bytes, or b"" at the end. Raises Problem for bytes that don't belong to the upload."""
         try:
             chunk = b""
             while not chunk and self.trouble is None:

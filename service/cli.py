@@ -1,4 +1,4 @@
-"""`mgsr-service`: the API alone, for set-ups with a separate Redis server and workers; `keys` manages its keys.
+"""`mgsr-service`: only the API, for set-ups with a separate Redis server and workers. `keys` manages its keys.
 
 Unlike `mgsr keys`, it does not load the library.
 """

@@ -57,13 +57,14 @@ def submit(
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting. Repeat it for several.")
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Only check the photographs and estimate what each preset takes; waits.")
+        bool,
+        typer.Option(
+            "--dry-run", help="Only check the photographs and estimate the cost of each preset. Waits for the result."
+        ),
     ] = False,
     webhook: Annotated[
         str | None,
-        typer.Option(
-            metavar="URL", help="The address that is called when the job ends, signed as in Standard Webhooks."
-        ),
+        typer.Option(metavar="URL", help="The address to call when the job ends, signed as in Standard Webhooks."),
     ] = None,
     server: ServerOption = DEFAULT_SERVER,
 ) -> None:
@@ -74,7 +75,7 @@ def submit(
 
         try:
             chosen = dict(parse_setting(text) for text in settings or [])
-            # The service checks the rest, by its own version's rules.
+            # The service checks the options by the rules of its own version.
             fields = {"name": scene.resolve().name[:200], "preset": preset, "method": method, "seed": seed}
             options = JobOptions.model_validate(fields | {"settings": chosen, "webhook": webhook, "dry_run": dry_run})
         except ValueError as error:
@@ -84,17 +85,20 @@ def submit(
 
 
 def rerun(
-    job: Annotated[str, typer.Argument(metavar="ID", help="The earlier job's id, as `mgsr submit` said it.")],
-    wait: Annotated[
-        bool, typer.Option("--wait", help="Follow the new job, and fetch its results when it is done.")
-    ] = False,
+    job: Annotated[str, typer.Argument(metavar="ID", help="The earlier job's id, as printed by `mgsr submit`.")],
+    wait: Annotated[bool, typer.Option("--wait", help="Follow the new job, and fetch its results at the end.")] = False,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="OUT", help="Where the results go; out/ID by default.")
+        Path | None,
+        typer.Option("--out", "-o", metavar="OUT", help="The folder for the results. The default is out/ID."),
     ] = None,
-    preset: Annotated[str | None, typer.Option(help="draft, standard or high; the earlier job's by default.")] = None,
+    preset: Annotated[
+        str | None, typer.Option(help="draft, standard or high. The default is the earlier job's preset.")
+    ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; in place of the earlier job's settings."),
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Change one setting. This replaces all settings of the earlier job."
+        ),
     ] = None,
     server: ServerOption = DEFAULT_SERVER,
 ) -> None:
@@ -132,7 +136,7 @@ def jobs(
     limit: Annotated[int, typer.Option(help="The most jobs to list.", min=1, max=200)] = 50,
     server: ServerOption = DEFAULT_SERVER,
 ) -> None:
-    """List your jobs, the newest first: id, status, submitted, when it goes, and name."""
+    """List your jobs, the newest first: id, status, time of submission, expiry and name."""
     with refusals():
         from service.client.submit import list_jobs
 
@@ -153,7 +157,7 @@ def pin(
 
 def retention(
     days: Annotated[
-        float | None, typer.Option(min=0, help="Days from a job's end. The default is MGSR_RETENTION.")
+        float | None, typer.Option(min=0, help="Days from a job's end to its deletion. The default is MGSR_RETENTION.")
     ] = None,
 ) -> None:
     """List the jobs that a retention would delete now, without deleting them. MGSR_STORE names the store."""
@@ -166,7 +170,7 @@ def retention(
         settings = Settings()
         seconds = settings.retention if days is None else days * 86400
         if seconds is None:
-            raise SetupError("jobs stay, because MGSR_RETENTION is not set; --days shows what a retention would delete")
+            raise SetupError("MGSR_RETENTION is not set, so jobs are kept; use --days to try a retention")
         kept = Jobs(Store(settings.store_url, 10.0))
         for state in Retention(kept, seconds).due():
             assert state.outcome is not None
@@ -186,7 +190,7 @@ def create_key(name: Annotated[str, typer.Argument(help="The name of the key's o
 
 @keys.command("list")
 def list_keys() -> None:
-    """List ids, names and dates of the keys."""
+    """List the ids, names and dates of all keys."""
     with refusals():
         for key in _keys().all():
             print(f"{key.id}  {key.created:%Y-%m-%d}  {key.name}")
@@ -194,7 +198,7 @@ def list_keys() -> None:
 
 @keys.command("revoke")
 def revoke_key(key_id: Annotated[str, typer.Argument(metavar="ID")]) -> None:
-    """Revoke a key; services notice within seconds. Its jobs stay in the store."""
+    """Revoke a key. Services notice it within seconds. The jobs of the key stay in the store."""
     with refusals():
         if not _keys().revoke(key_id):
             raise SetupError(f"key {key_id!r} does not exist; `mgsr keys list` shows all keys")

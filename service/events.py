@@ -1,4 +1,4 @@
-"""Server-sent events of jobs: one reader for each watched job, however many clients watch it."""
+"""Server-sent events of jobs. Each watched job has one reader, for any number of clients."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from service.contract.live import events_key
 from service.snapshots import Snapshot, Snapshots
 
 BLOCK_MS = 2000
-# A watcher that is so many events behind is disconnected; it returns with Last-Event-ID.
+# A watcher that is this many events behind is disconnected. It returns with Last-Event-ID.
 BEHIND = 500
 LOOK_SECONDS = 3.0
 KEEP_ALIVE_SECONDS = 15.0
@@ -24,14 +24,14 @@ EVENT_ID = re.compile(r"\d{1,20}-\d{1,20}")
 
 @dataclass(frozen=True)
 class ServerEvent:
-    """One entry of a job's stream. id: Redis's, which rises with time."""
+    """An entry of a job's stream. id: the id in Redis, which increases with time."""
 
     id: str
     kind: str
     data: str
 
     def encode(self) -> bytes:
-        """Return the event as bytes of a server-sent event."""
+        """Encode the event as a server-sent event."""
         return f"id: {self.id}\nevent: {self.kind}\ndata: {self.data}\n\n".encode()
 
     @property
@@ -42,7 +42,7 @@ class ServerEvent:
 
 @dataclass
 class _Watched:
-    """A job's watchers, and the task that reads for them. ready: set once the task knows where to read from."""
+    """A job's watchers, and the task that reads for them. ready: set once the task knows where to start reading."""
 
     watchers: set[asyncio.Queue[ServerEvent | None]] = field(default_factory=set)
     reader: asyncio.Task[None] | None = None
@@ -83,7 +83,7 @@ class EventHub:
     ) -> AsyncIterator[bytes]:
         """Yield events as they arrive.
 
-        The job itself is read too, because its end may be lost together with Redis.
+        The job itself is read too, because the event of its end may be lost with Redis.
         """
         quiet = 0.0
         while True:
@@ -134,7 +134,7 @@ class EventHub:
             del self._jobs[job]
 
     async def _newest(self, job: str) -> str:
-        """Return the id to read after. XREAD's own `$` would lose what comes between two calls."""
+        """Return the id of the newest event. XREAD's own `$` would lose events between two calls."""
         try:
             entries = await self._redis.xrevrange(events_key(job), count=1)
         except RedisError:

@@ -1,4 +1,4 @@
-"""Guard a service without keys: only programs of this machine may use it, and no web page in its browser."""
+"""Guard a service without keys: only programs of this machine may use it, not web pages of other sites."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ LOOPBACK_NAMES = {"localhost", "127.0.0.1", "::1"}
 
 
 class LocalGuard:
-    """A guard that, while there are no keys, refuses requests with another host and requests from other sites' pages.
+    """Middleware that refuses requests to other hosts and from pages of other sites, while there are no keys.
 
-    Another host in a request comes from a web page whose name was bound to this machine (DNS rebinding).
+    A request with another host comes from a web page whose name resolves to this machine (DNS rebinding).
     """
 
     def __init__(self, app: ASGIApp, keys_needed: Callable[[], bool | None], hosts: set[str]) -> None:
@@ -45,7 +45,7 @@ def _refuse(code: str, detail: str) -> ASGIApp:
 
 
 def _name(address: str) -> str:
-    """Return the host's name without its port; empty for what is no address."""
+    """Return the host's name without its port, or an empty string for an invalid address."""
     try:
         return urlsplit(f"//{address}").hostname or ""
     except ValueError:

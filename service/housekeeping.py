@@ -1,4 +1,4 @@
-"""The removal of expired data: uploads that were not continued, and jobs past their retention."""
+"""The removal of expired data: abandoned uploads, and jobs past their retention."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from service.contract.live import Live
 from service.contract.resumable import ResumableUploads
 from service.contract.retention import Retention
 
-PERIOD = 600.0  # seconds between two checks of all services together
+PERIOD = 600.0  # seconds between two checks, for all services together
 
 
 class Housekeeping:
-    """Repeated removal. retention: seconds from a job's end; None keeps jobs."""
+    """Repeated removal of expired data. retention: seconds from a job's end to its removal; None keeps all jobs."""
 
     def __init__(self, jobs: Jobs, live: Live, uploads: ResumableUploads, retention: float | None) -> None:
         self._live, self._uploads = live, uploads

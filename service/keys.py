@@ -1,4 +1,4 @@
-"""Bearer keys. The store holds only their SHA-256; a key is shown once, when it is made."""
+"""Bearer keys. The store holds only their SHA-256, so a key is shown only once, when it is created."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CACHE_SECONDS = 5.0
 
 
 class Key(Document):
-    """The record of a key. id: the owner of the jobs that are made with it."""
+    """The record of a key. id: the owner of jobs that are submitted with the key."""
 
     id: str
     name: str
@@ -30,7 +30,7 @@ class Keys:
         self._any: tuple[float, bool] = (float("-inf"), False)
 
     def create(self, name: str) -> tuple[str, Key]:
-        """Create a key; return its token and its record."""
+        """Create a key, and return its token and its record."""
         token = "mgsr_" + secrets.token_urlsafe(32)
         key = Key(id=secrets.token_hex(8), name=name, created=now())
         self._store.create(_path(token), key.to_bytes())
@@ -53,26 +53,26 @@ class Keys:
         return False
 
     def find(self, token: str) -> Key | None:
-        """Return the key of a caller's token; None for an unknown one."""
+        """Return the key of a caller's token, or None if it is unknown."""
         path = _path(token)
         read_at, key = self._known.get(path, (float("-inf"), None))
         if time.monotonic() - read_at > CACHE_SECONDS:
             data = self._store.read(path)
             key = None if data is None else Key.model_validate_json(data)
-            if len(self._known) > 10_000:  # so many tokens are guesses
+            if len(self._known) > 10_000:  # this many tokens can only be guesses
                 self._known.clear()
             self._known[path] = (time.monotonic(), key)
         return key
 
     def cached(self, token: str) -> Key | None:
-        """Return the key as `find` does, but None if it is not cached."""
+        """Return the result of `find` if it is cached, else None."""
         read_at, key = self._known.get(_path(token), (float("-inf"), None))
         return key if time.monotonic() - read_at <= CACHE_SECONDS else None
 
     def needed(self) -> bool:
         """Return whether callers must show a key.
 
-        They must show one once any key has been seen, so that a service does not become open when its last key is
+        They must as soon as this process has seen a key, so that a service does not become open when its last key is
         revoked.
         """
         read_at, found = self._any
@@ -83,7 +83,7 @@ class Keys:
 
     @property
     def needed_cached(self) -> bool | None:
-        """Return the answer of `needed`, but None if it is not cached."""
+        """Return the result of `needed` if it is cached, else None."""
         read_at, found = self._any
         return found if found or time.monotonic() - read_at <= CACHE_SECONDS else None
 

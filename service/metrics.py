@@ -1,4 +1,4 @@
-"""Prometheus metrics: requests as they were answered, jobs and workers as they are when asked."""
+"""Prometheus metrics: counters of answered requests, and gauges of jobs and workers, read at each scrape."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Metrics:
 
 
 class MetricsMiddleware:
-    """Counts and times requests by their route."""
+    """Middleware that counts and times requests by their route."""
 
     def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
         self._app, self._metrics = app, metrics
@@ -58,7 +58,7 @@ class MetricsMiddleware:
 
 
 class _JobCollector:
-    """Queries the queue and the store at each collection, and leaves out what doesn't answer."""
+    """A collector that queries queue and store at each scrape, and omits the gauges of one that doesn't answer."""
 
     def __init__(self, jobs: Jobs, queue: JobQueue) -> None:
         self._jobs, self._queue = jobs, queue

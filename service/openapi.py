@@ -1,4 +1,4 @@
-"""Complete the OpenAPI document: shared schemas, and one form of error for validation too."""
+"""Complete the OpenAPI document: add shared schemas, and give validation errors the form of all other errors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from service.problems import MEDIA_TYPE, ProblemDetails
 
 
 def describe(app: FastAPI) -> None:
-    """Have the app serve its document with the schemas that no route's signature mentions."""
+    """Make the app add the schemas that no route's signature mentions to its document."""
     plain = app.openapi
 
     def document() -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What the routes work with, made once for an app, and the dependency that identifies the caller."""
+"""The objects that all routes share, and the dependencies that identify the caller and its jobs."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from service.metrics import Metrics
 from service.problems import Problem
 from service.snapshots import Snapshot, Snapshots
 
-# Who owns the jobs of a service without keys.
+# The owner of all jobs of a service without keys.
 LOCAL = "local"
 
 
 @dataclass(frozen=True)
 class Parts:
-    """The app's shared objects; `redis` is the asynchronous client."""
+    """The app's shared objects. redis: the asynchronous client."""
 
     settings: Settings
     jobs: Jobs
@@ -41,7 +41,7 @@ class Parts:
     metrics: Metrics
 
 
-# Asynchronous, as all dependencies here: FastAPI calls others in a thread, which costs more than all the rest.
+# All dependencies are asynchronous: FastAPI calls others in a thread, which costs more than the rest of a request.
 async def _parts(request: Request) -> Parts:
     return cast(Parts, request.app.state.parts)
 
@@ -75,7 +75,7 @@ OwnerDep = Annotated[str, Depends(_owner)]
 
 async def _own_job(job_id: str, owner: OwnerDep, parts: PartsDep) -> Snapshot:
     snapshot = await parts.snapshots.get(job_id)
-    # Another owner's job gets the answer of an unknown job, so that ids stay private.
+    # Another owner's job gets the same answer as an unknown job, so that ids stay private.
     if snapshot is None or snapshot.owner != owner:
         raise Problem(404, "job_unknown", f"you have no job {job_id[:64]!r}; GET /jobs lists your jobs")
     return snapshot

@@ -1,8 +1,8 @@
-"""A short cut for `GET /jobs/{id}`, which clients poll, before the routes.
+"""A shortcut before the routes for `GET /jobs/{id}`, which clients poll.
 
-Without it, three hundred clients that poll once a second would keep a third of a core busy with FastAPI's own work.
-This module answers only from memory: the caller and the job must have been looked up recently. All other requests go
-on to the route, which gives the same answer (`poll_answer`).
+Without it, FastAPI's own work for three hundred clients that poll once a second would take a third of a core. This
+module answers only from memory: caller and job must have been looked up recently. All other requests go on to the
+route, which gives the same answer (`poll_answer`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _PREFIX = "/jobs/"
 
 
 class Polls:
-    """Middleware that answers polls before the routes. route: the one that metrics count them under."""
+    """Middleware that answers polls before the routes. route: the route under which metrics count them."""
 
     def __init__(self, app: ASGIApp, keys: Keys, snapshots: Snapshots, route: object) -> None:
         self._app, self._keys, self._snapshots, self._route = app, keys, snapshots, route
@@ -36,7 +36,7 @@ class Polls:
         await self._app(scope, receive, send)
 
     def _caller(self, headers: Headers) -> str | None:
-        """Return the owner who asks, if memory knows; else None."""
+        """Return the owner who sends the request if it is cached, else None."""
         if self._keys.needed_cached is False:
             return LOCAL
         scheme, _, token = headers.get("authorization", "").partition(" ")

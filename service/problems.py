@@ -1,4 +1,4 @@
-"""Errors as RFC 9457 problem details, with a code that programs can rely on."""
+"""Errors as RFC 9457 problem details with a stable code for programs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MEDIA_TYPE = "application/problem+json"
 
 
 class ProblemDetails(BaseModel):
-    """What went wrong."""
+    """An error in the form of RFC 9457."""
 
     model_config = ConfigDict(
         extra="allow",
@@ -38,7 +38,7 @@ class ProblemDetails(BaseModel):
     title: str
     status: int
     code: str = Field(description="A stable code for programs.")
-    detail: str = Field(description="A sentence for people: what was expected, what came and what to do.")
+    detail: str = Field(description="A sentence for people: what was expected, what came, and the remedy.")
 
 
 class Problem(Exception):
@@ -62,7 +62,7 @@ class Problem(Exception):
 
 
 def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """Return the documentation of a route's errors; every route may also answer 400, 401, 403 and 503."""
+    """Return the documentation of a route's errors: these, and 400, 401, 403 and 503, which every route may return."""
     reference = {"schema": {"$ref": "#/components/schemas/ProblemDetails"}}
     return {
         status: {"description": _title(status), "content": {MEDIA_TYPE: reference}}
@@ -71,7 +71,7 @@ def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 def _title(status: int) -> str:
-    """Return the status in words; of one that HTTP does not know, those of its class."""
+    """Return the status in words. A status that HTTP does not define gets the words of its class."""
     try:
         return HTTPStatus(status).phrase
     except ValueError:
@@ -114,7 +114,7 @@ async def _redis(request: Request, error: Exception) -> Response:
 
 
 async def _gone(request: Request, error: Exception) -> Response:
-    """Return a problem that nobody reads, as the client has hung up."""
+    """Return a problem that only the metrics count, since the client has disconnected."""
     return Problem(400, "upload_cut", "the connection closed before the request was complete").response()
 
 

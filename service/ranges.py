@@ -10,10 +10,10 @@ _ONE = re.compile(r"\s*bytes\s*=\s*(\d{0,19})\s*-\s*(\d{0,19})\s*", re.ASCII)
 
 
 def parse_range(text: str | None, size: int) -> tuple[int, int] | None:
-    """Return the first byte and the one after the last; None where all of `size` bytes are to be sent.
+    """Return the first byte of a range and the byte after its last, or None to send the whole file.
 
-    All are sent without the header, and, as the RFC allows, for several ranges or other units. Raises Problem 416 where
-    no byte lies in the range.
+    text: the header, None without one. size: the file's size in bytes. As the RFC allows, several ranges and other
+    units also mean the whole file. Raises Problem 416 if the range contains no byte of the file.
     """
     found = _ONE.fullmatch(text or "")
     if found is None or not (found[1] or found[2]):
@@ -28,7 +28,7 @@ def parse_range(text: str | None, size: int) -> tuple[int, int] | None:
         raise Problem(
             416,
             "range_outside",
-            f"the file has {size} bytes, none of them in {text!r}",
+            f"Range: expected a range within the file's {size} bytes, got {text!r}",
             {"Content-Range": f"bytes */{size}"},
         )
     return start, end

@@ -1,4 +1,4 @@
-"""`mgsr serve`: queue server, worker and API as children of one process, which restarts any that dies."""
+"""`mgsr serve`: queue server, worker and API as children of one process, which restarts them if they die."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ READY_SECONDS = 30.0
 
 
 def serve(settings: Settings, host: str, port: int) -> None:
-    """Serve until SIGINT or SIGTERM. Raises SetupError where it can't start or go on."""
+    """Serve until SIGINT or SIGTERM. Raises SetupError if a child can't be started or keeps dying."""
     _check_port(host, port)
     with _alone(settings.home):
         children = _children(settings, host, port)
@@ -41,7 +41,7 @@ def serve(settings: Settings, host: str, port: int) -> None:
 
 
 def _children(settings: Settings, host: str, port: int) -> list[Child]:
-    """Return the children in the order of their start; they stop in reverse."""
+    """Return the children in the order in which they start. They stop in reverse order."""
     children: list[Child] = []
     url = settings.redis_url
     if url is None:
@@ -107,9 +107,9 @@ def _check_port(host: str, port: int) -> None:
 
 @contextmanager
 def _alone(home: Path) -> Iterator[None]:
-    """Hold the lock of this service's folder; the kernel releases it however this process ends.
+    """Hold the lock of this service's folder. The kernel releases it even if this process is killed.
 
-    Raises SetupError where another service holds it.
+    Raises SetupError if another service holds it.
     """
     home.mkdir(parents=True, exist_ok=True, mode=0o700)
     with (home / "serve.lock").open("w") as lock:

@@ -1,6 +1,6 @@
-"""Current states of jobs, each read once for all simultaneous requests.
+"""The current states of jobs. Simultaneous requests for a job share one read.
 
-Three hundred clients that poll a job cause one reading of store and Redis in each half second.
+Three hundred clients that poll a job cause one read of store and Redis every half second.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from service.contract.records import Outcome
 from service.views import JobView, job_view
 
 FRESH_SECONDS = 0.4
-# A job that has ended changes only by a retry. A retry through another service is visible after this time.
+# A job that has ended changes only by a retry. A retry through another service becomes visible after this time.
 FRESH_FINAL_SECONDS = 2.0
-# The longest time for which the old state is used while the new one is read.
+# The longest time for which the old state is used while the job is read again.
 READING_SECONDS = 0.5
 KEPT = 5000
 _ID = re.compile(r"[0-9a-f]{32}")
@@ -36,7 +36,7 @@ _ID = re.compile(r"[0-9a-f]{32}")
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A job at a moment. body: the view as JSON; final: whether it has ended."""
+    """The state of a job at one time. body: the view as JSON."""
 
     owner: str
     state: JobState
@@ -47,12 +47,12 @@ class Snapshot:
 
     @property
     def outcome(self) -> Outcome | None:
-        """Return how its last round ended; None while it has not."""
+        """Return the outcome of the last round, or None while it has not ended."""
         return self.state.outcome
 
     @property
     def final(self) -> bool:
-        """Return whether it has ended."""
+        """Return whether the job has ended."""
         return self.state.outcome is not None
 
 
@@ -60,7 +60,7 @@ class Snapshots:
     """The cached states of recently requested jobs."""
 
     def __init__(self, jobs: Jobs, queue: JobQueue, redis: AsyncRedis, retention: float | None) -> None:
-        """Begin with none. retention: seconds for which jobs are kept after their end; None for ever."""
+        """Begin with an empty cache. retention: seconds for which jobs are kept after their end; None for ever."""
         self._jobs, self._queue, self._redis, self._retention = jobs, queue, redis, retention
         self._kept: dict[str, Snapshot] = {}
         self._reading: dict[str, asyncio.Task[Snapshot | None]] = {}
@@ -68,7 +68,10 @@ class Snapshots:
         self._waiting: tuple[float, dict[tuple[str, int], int]] = (float("-inf"), {})
 
     async def get(self, job: str) -> Snapshot | None:
-        """Return the job, at most half a second old (a second, where the store is slow); None for an unknown id."""
+        """Return a state of the job, or None for an unknown id.
+
+        It is at most half a second old, or a second if the store is slow.
+        """
         if not _ID.fullmatch(job):
             return None
         return self.fresh(job) or await self.read(job)
@@ -87,7 +90,7 @@ class Snapshots:
         return kept if time.monotonic() - kept.read_at < limit else None
 
     async def read(self, job: str) -> Snapshot | None:
-        """Read the job as it is now; calls at the same time share one reading. None for an unknown id."""
+        """Read the current state of the job, or None for an unknown id. Simultaneous calls share one read."""
         task = self._reading.get(job)
         if task is None:
             task = asyncio.create_task(self._read(job))
@@ -100,7 +103,7 @@ class Snapshots:
             del self._reading[job]
 
     def forget(self, job: str) -> None:
-        """Drop the cached job, so that the next call reads it again: this service has just changed it."""
+        """Drop the cached job after this service has changed it, so that the next call reads it again."""
         self._kept.pop(job, None)
         self._reading.pop(job, None)
         self._waiting = (float("-inf"), {})
@@ -117,7 +120,7 @@ class Snapshots:
         body = view.model_dump_json().encode()
         etag = f'"{hashlib.sha256(body).hexdigest()[:32]}"'
         snapshot = Snapshot(state.record.owner, state, view, body, etag, started_at)
-        if self._changed.get(job, 0.0) <= started_at:  # what was read before a change is not kept
+        if self._changed.get(job, 0.0) <= started_at:  # a state from before a change is not kept
             self._kept[job] = snapshot
         while len(self._kept) > KEPT:
             self._kept.pop(next(iter(self._kept)))
@@ -139,7 +142,7 @@ class Snapshots:
             return await self._view_without_redis(state)
 
     async def _view_without_redis(self, state: JobState) -> JobView:
-        """Return the job's view from its last known state, or else from whether a worker has started the round."""
+        """Return the job's view from its last known state, or from the starts of attempts in the store."""
         before = self._kept.get(state.record.id)
         known: dict[str, Any] = {}
         if before is not None and before.state.round == state.round:

@@ -1,4 +1,4 @@
-"""The common part of all submits: the checks of options, disk and limits, the filing of the job, and the answer."""
+"""The common part of all submits: check options, disk and limits, queue the job, and answer."""
 
 from __future__ import annotations
 
@@ -21,16 +21,18 @@ from service.problems import Problem
 LOCATION = {"Location": {"description": "The address of the job.", "schema": {"type": "string"}}}
 OptionsQuery = Annotated[
     str | None,
-    Query(max_length=16384, description="JobOptions as JSON text, where the body does not hold them."),
+    Query(max_length=16384, description="JobOptions as JSON text, if the body does not have them."),
 ]
 DryRunQuery = Annotated[
     bool,
-    Query(description="Only check the photographs and estimate what each preset takes; sets the option `dry_run`."),
+    Query(
+        description="Only check the photographs and estimate the cost of each preset. The same as the option `dry_run`."
+    ),
 ]
 
 
 def parse_options(text: str | None) -> JobOptions:
-    """Parse options from JSON text; no text gives the defaults. Raises Problem."""
+    """Parse options from JSON text; None gives the defaults. Raises Problem if they are invalid."""
     try:
         return JobOptions.model_validate_json(text) if text else JobOptions()
     except ValidationError as error:
@@ -62,7 +64,7 @@ async def check_room(length: int, owner: str, parts: Parts) -> None:
 
 
 def _check_limits(length: int, owner: str, parts: Parts) -> None:
-    """Check the owner's numbers of open jobs and of stored bytes; uploads count as jobs. Raises Problem."""
+    """Check the owner's limits of open jobs, with uploads, and of stored bytes. Raises Problem if one is exceeded."""
     settings, arriving = parts.settings, parts.uploads.owned(owner)
     opened = parts.jobs.open_of(owner) + len(arriving)
     if opened >= settings.max_open_jobs:
@@ -88,7 +90,7 @@ def _check_limits(length: int, owner: str, parts: Parts) -> None:
 async def accepted(parts: Parts, record: JobRecord, kept: JobRecord) -> Response:
     """Queue a new job, and answer with the job on file.
 
-    Raises Problem where its idempotency key belongs to another submit.
+    Raises Problem if its idempotency key belongs to another submit.
     """
     if kept.archive == record.archive:
         await enqueue(parts, record, 0)
@@ -108,11 +110,11 @@ async def enqueue(parts: Parts, record: JobRecord, number: int) -> None:
     try:
         await run_in_threadpool(parts.queue.put, record.id, number, queue_for(record.options))
     except RedisError:
-        return  # the job is in the store: recovery queues it once the server is back
+        return  # the job is in the store, and recovery queues it once the server is back
 
 
 async def answer(parts: Parts, job: str, status: int, headers: dict[str, str]) -> Response:
-    """Answer with a job as it is now, and its address."""
+    """Answer with the current state of a job, and its address."""
     parts.snapshots.forget(job)
     snapshot = await parts.snapshots.read(job)
     assert snapshot is not None

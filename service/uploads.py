@@ -1,4 +1,4 @@
-"""Receive an archive or a video into the store as it arrives, holding at most a few megabytes of it."""
+"""Stream an archive or a video from a request to the store, with at most a few megabytes of it in memory."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ RAW_TYPES = {
 }
 # The accepted kinds of files, for messages.
 ARCHIVES = "zip, tar, tar.gz, tar.zst, or a video as mp4, mov, webm or mkv"
-HEAD_BYTES = 512  # bytes, enough to tell what kind of archive it is
-# Of zip, gzip, zstd, and Matroska with WebM. A tar has its mark later, and mp4 and mov have theirs after a length.
+HEAD_BYTES = 512  # bytes, enough to tell the kind of an archive
+# The first bytes of zip, gzip, zstd, and Matroska with WebM. Tar, mp4 and mov have their marks at other offsets.
 _MAGIC = (b"PK", b"\x1f\x8b", b"\x28\xb5\x2f\xfd", b"\x1a\x45\xdf\xa3")
 _MOVIES = (b"ftyp", b"moov", b"wide", b"mdat")
 
 
 @dataclass(frozen=True)
 class Received:
-    """A received upload. options: the text of the multipart field, None where there was none."""
+    """A received upload. options: the text of the multipart field, or None without one."""
 
     size: int
     sha256: str
@@ -54,9 +54,9 @@ class Received:
 
 
 async def receive(request: Request, store: Store, key: str, settings: Settings) -> Received:
-    """Store the request's archive under `key`; after an error, nothing is left there.
+    """Store the request's archive under `key`. After an error, there is no object.
 
-    Raises Problem: 408 too slow, 413 too large, 415 unknown type, 400 cut or malformed, 422 no archive.
+    Raises Problem: 400 cut off or malformed, 408 too slow, 413 too large, 415 unknown type, 422 no archive.
     """
     sink = _Sink(settings.max_upload)
     kind, parameters = parse_options_header(request.headers.get("content-type", ""))
@@ -82,7 +82,7 @@ async def receive(request: Request, store: Store, key: str, settings: Settings) 
 
 
 class _Sink:
-    """A buffer that counts and hashes the archive's bytes and holds them until they are written."""
+    """A buffer that counts and hashes the archive's bytes, and holds them until they are written."""
 
     def __init__(self, limit: int) -> None:
         self.limit, self.size, self.digest = limit, 0, hashlib.sha256()
@@ -107,7 +107,7 @@ class _Sink:
 
 
 def check_kind(head: bytes) -> None:
-    """Check by its first bytes that a file is an archive or a video; the worker checks more. Raises Problem."""
+    """Check by its first bytes that a file is an archive or a video. The worker checks more. Raises Problem if not."""
     if not head:
         raise Problem(422, "archive_missing", f"the archive is empty; expected {ARCHIVES}")
     if not (head.startswith(_MAGIC) or head[257:262] == b"ustar" or head[4:8] in _MOVIES):
@@ -122,7 +122,7 @@ def too_large(limit: int) -> Problem:
 
 
 async def timed(stream: AsyncIterator[bytes], settings: Settings) -> AsyncIterator[bytes]:
-    """Yield the body's chunks. Raises Problem when none comes for long, or the rate is too low."""
+    """Yield the body's chunks. Raises Problem if none arrives for long, or the rate is too low."""
     started_at, count = time.monotonic(), 0
     while True:
         try:
@@ -163,7 +163,7 @@ async def _multipart(chunks: AsyncIterator[bytes], boundary: bytes | None, sink:
 
 
 class _Fields:
-    """Sorts a multipart body by its field names."""
+    """The fields of a multipart body, collected by the parser's callbacks."""
 
     def __init__(self, sink: _Sink) -> None:
         self._sink = sink

@@ -1,4 +1,4 @@
-"""A job as the service shows it."""
+"""The view of a job that the API returns."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _EXAMPLE: JsonDict = {
 
 
 class CurvePoint(BaseModel):
-    """A row of the training curve. loss: the sum of the terms of the last iteration; psnr: dB on held-out views."""
+    """A row of the training curve. loss: the total loss of the last iteration. psnr: in dB, on held-out views."""
 
     seconds: float
     stage: str
@@ -60,22 +60,22 @@ class CurvePoint(BaseModel):
 
 
 class FindingView(BaseModel):
-    """One thing that the check of the photographs found."""
+    """A finding of the check of the photographs."""
 
-    code: str = Field(description="The kind; stable, for programs.", examples=["doubled_structure"])
+    code: str = Field(description="The kind of finding, a stable code for programs.", examples=["doubled_structure"])
     severity: Literal["error", "warning", "note"]
     text: str
-    amount: float = Field(description="How bad it is, in `unit`.")
+    amount: float = Field(description="The size of the flaw, in `unit`.")
     unit: str = Field(description="px, sr, deg, share, times, pairs or photographs.")
-    cure: str = Field(description="What to do.")
-    photographs: list[str] = Field([], description="Those concerned; empty where it is all of them.")
+    cure: str = Field(description="The remedy.")
+    photographs: list[str] = Field([], description="The affected photographs; empty if all are affected.")
     places: list[tuple[float, float, float]] = Field(
         [], description="Camera positions from which photographs are missing, in the capture's frame."
     )
 
 
 class JobView(BaseModel):
-    """A job and how it goes."""
+    """A job with its status and progress."""
 
     model_config = ConfigDict(json_schema_extra={"example": _EXAMPLE})
 
@@ -84,13 +84,13 @@ class JobView(BaseModel):
     status: JobStatus
     created: datetime
     finished: datetime | None = None
-    cancelling: bool = Field(False, description="Whether the job was asked to cancel and still runs.")
-    pinned: bool = Field(False, description="Whether the job stays after its retention.")
+    cancelling: bool = Field(False, description="Whether a cancel was requested while the job still runs.")
+    pinned: bool = Field(False, description="Whether the job is kept beyond the retention.")
     expires: datetime | None = Field(
-        None, description="When the service deletes the job with its files; null where it stays."
+        None, description="When the service deletes the job with its files; null if it is kept."
     )
     step: str | None = Field(
-        None, description="The present step: fetch, unpack, load, start, train, export, render, mesh, ... or publish."
+        None, description="The current step: fetch, unpack, load, start, train, export, render, mesh, ... or publish."
     )
     message: str | None = Field(None, description="The step in words.")
     stage: str | None = Field(None, description="The stage of training.")
@@ -98,37 +98,39 @@ class JobView(BaseModel):
     total: int | None = Field(None, description="Planned iterations of this stage.")
     progress: float = Field(0.0, ge=0, le=1)
     eta_seconds: float | None = Field(None, description="Estimated seconds left. It is known once training has begun.")
-    step_progress: float | None = Field(None, ge=0, le=1, description="The progress of a long step alone.")
-    step_eta_seconds: float | None = Field(None, description="Estimated seconds to the end of that step.")
+    step_progress: float | None = Field(
+        None, ge=0, le=1, description="The progress of the current step, if it is long."
+    )
+    step_eta_seconds: float | None = Field(None, description="Estimated seconds to the end of the current step.")
     training_seconds: float | None = Field(None, description="Seconds of training so far.")
     losses: dict[str, float | None] = Field({}, description="The weighted loss terms of the last iteration.")
     psnr: float | None = Field(None, description="The PSNR on held-out views, in dB.")
     splats: dict[str, int] = {}
     previews: dict[str, int] = Field(
-        {}, description="The names of the pictures at previews/{name}.webp, each with its iteration of the stage."
+        {}, description="The names of the pictures at previews/{name}.webp, each with its iteration in the stage."
     )
     curve: list[CurvePoint] = []
     queue_position: int | None = Field(None, description="The position of a queued job, from 1.")
     attempt: int | None = None
-    rerun_of: str | None = Field(None, description="The job whose archive this one took over.")
+    rerun_of: str | None = Field(None, description="The job whose archive this job reuses.")
     round: int = Field(0, description="The number of requested retries.")
     memory_bytes: int | None = Field(None, description="The peak memory of the job process so far.")
     error: Failure | None = None
     metrics: dict[str, Any] = Field({}, description="The main figures of report.json, once the job has succeeded.")
     findings: list[FindingView] | None = Field(
-        None, description="What the check of the photographs found, the worst first; null before it, and in lists."
+        None, description="The findings of the check of the photographs, worst first; null before it, and in lists."
     )
     options: JobOptions
 
 
 class JobList(BaseModel):
-    """A page of jobs, the newest first. next: give it as `before` to get the page after this one."""
+    """A page of jobs, the newest first. next: the value of `before` for the next page."""
 
     jobs: list[JobView]
     next: str | None = None
 
 
-# Fields that are taken over from a worker's progress.
+# The fields that come from a worker's progress.
 _PROGRESS = (
     *("step", "stage", "iteration", "total", "progress", "eta_seconds", "step_progress", "step_eta_seconds"),
     *("training_seconds", "losses", "psnr", "splats", "previews", "curve", "attempt", "memory_bytes"),
@@ -139,7 +141,7 @@ _PROGRESS = (
 def job_view(
     state: JobState, running: bool, progress: dict[str, Any], queue_position: int | None, retention: float | None
 ) -> JobView:
-    """Return the job's view from what the store, and Redis if it answers, say of it."""
+    """Return the job's view from its state in the store, and from its progress in Redis, if that answers."""
     record, outcome = state.record, state.outcome
     fields: dict[str, Any] = {}
     if progress.get("round") == state.round:

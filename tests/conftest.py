@@ -26,10 +26,12 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(scope="module")
-def grainy_pictures() -> Iterator[None]:
-    """Spare a module's runs most rays of the report's pictures, which it does not look at."""
+def quick_report() -> Iterator[None]:
+    """Make the reports of a module's runs quickly, for modules that neither look at pictures nor compare scores."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mgsr.report.shading.OCCLUSION_RAYS", 1)
+        patch.setattr("mgsr.report.shading.MOST_PIXELS", 96)
+        patch.setattr("mgsr.metrics.surface.DENSE", 100_000)
         yield
 
 

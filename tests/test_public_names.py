@@ -17,7 +17,7 @@ import mgsr
 from mgsr.cli.main import app
 from tests.cli.spheres import held_out_camera, write_spheres
 
-pytestmark = pytest.mark.usefixtures("grainy_pictures")
+pytestmark = pytest.mark.usefixtures("quick_report")
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = {

@@ -1,4 +1,4 @@
-"""One attempt at a job: fetch its files, run it, watch it, and publish its results."""
+"""An attempt at a job: fetch its files, run it, watch it, and publish its results."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ FINAL_CODES = {
 
 
 class Interrupted(Exception):
-    """The attempt stops without an outcome. `lost`: whether another program has killed its process."""
+    """The attempt ends without an outcome. lost: whether another program killed its process."""
 
     def __init__(self, lost: bool) -> None:
         super().__init__("interrupted")
@@ -62,10 +62,10 @@ class Interrupted(Exception):
 class WorkerContext:
     """The worker's objects that an attempt needs.
 
-    retrying_jobs: the jobs, by a store client that waits while the store doesn't answer.
-    jobs: the jobs, by a store client that gives up soon.
-    stopping: returns whether the worker should end.
-    beat: reports that the worker lives.
+    retrying_jobs: the jobs, through a store client that waits while the store doesn't answer.
+    jobs: the jobs, through a store client that gives up soon.
+    stopping: returns whether the worker should stop.
+    beat: reports that the worker is alive.
     step: receives the name of each step that begins.
     """
 
@@ -129,10 +129,10 @@ class Attempt:
             try:
                 self._context.beat()
             except RedisError:
-                return  # the next beat may reach it
+                return  # the next heartbeat may reach Redis
 
     def _while_watching(self, work: Callable[[], None]) -> Outcome | None:
-        """Run slow work in a thread; if a reason to stop comes first, abandon the thread and return the outcome.
+        """Run slow work in a thread. If there is a reason to stop, abandon the thread and return the outcome.
 
         An error in the thread is raised.
         """
@@ -168,7 +168,7 @@ class Attempt:
                 self._fetch_kept(held, attempt_path(job, earlier, folder), self._scratch / "out" / folder)
 
     def _fetch_kept(self, held: set[str], kept: str, target: Path) -> None:
-        """Fetch a kept file, or the files of a kept folder."""
+        """Fetch a file or the files of a folder that earlier attempts kept."""
         for key in held:
             if key == kept or key.startswith(f"{kept}/"):
                 place = Path(f"{target}{key.removeprefix(kept)}")
@@ -184,7 +184,7 @@ class Attempt:
             store.download(path, f"{folder}{name}")
 
     def _run_process(self) -> Outcome | None:
-        """Run the job process to its end; return the outcome unless its results decide it."""
+        """Run the job process to its end. Returns the outcome, or None if the results are to be published."""
         killed_before = _kernel_kills()
         process = JobProcess(self._write_spec(), self._scratch)
         self._carrier.start()
@@ -198,7 +198,7 @@ class Attempt:
             return None
         if reason is not None:
             return self._stopped(reason, ended.peak_memory)
-        if result is not None and result.status == "stopped":  # by somebody else's signal
+        if result is not None and result.status == "stopped":  # by a signal of another program
             self._keep_checkpoint()
             raise Interrupted(lost=True)
         if result is None:
@@ -272,7 +272,7 @@ class Attempt:
         return JobResult.model_validate_json(path.read_text()) if path.exists() else None
 
     def _publish(self) -> Outcome:
-        """Upload the results to the store, however long that is away."""
+        """Upload the results, and wait for the store if it does not answer."""
         published: list[Outcome] = []
 
         def work() -> None:
@@ -294,7 +294,7 @@ class Attempt:
         return self._while_watching(work) or published[0]
 
     def _stopped(self, reason: Reason, peak: int | None) -> Outcome:
-        """Return the outcome of a round that was stopped from outside; its last checkpoint is kept for a retry.
+        """Return the outcome of a round that was stopped from outside, and keep its last checkpoint for a retry.
 
         Raises Interrupted for a lost lease and for a shutdown.
         """
@@ -317,7 +317,7 @@ class Attempt:
         if reason is Reason.DISK_FULL:
             free = shutil.disk_usage(self._scratch).free
             least = settings.min_free_disk
-            return f"the worker's disk has {free / 2**20:.0f} MiB left; {least / 2**20:.0f} MiB must stay free"
+            return f"the worker's disk has {free / 2**20:.0f} MiB left, but {least / 2**20:.0f} MiB must stay free"
         limit = min(self._record.options.deadline_seconds or settings.job_deadline, settings.job_deadline)
         return f"the job exceeded its deadline of {limit:g} s; retry it to continue from its checkpoint"
 
@@ -350,22 +350,22 @@ class Attempt:
             try:
                 send()
             except (StoreError, OSError):
-                continue  # a retry then begins from an older one
+                continue  # a retry then begins from an older file
 
 
 def folder_name(name: str | None) -> str:
-    """Return the capture's name in its report: the job's name, in letters that file names allow."""
+    """Return the capture's name for its report: the job's name, with only characters that file names allow."""
     return re.sub(r"[^\w.-]+", "_", name or "").strip("._")[:60] or "capture"
 
 
 def joined(earlier: list[dict[str, Any]], curve: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Join two curves: the earlier one only up to where the other begins, in seconds of training."""
+    """Join two training curves. The earlier one is cut at the training time at which the other begins."""
     begins = curve[0]["seconds"] if curve else float("inf")
     return [row for row in earlier if row["seconds"] < begins] + curve
 
 
 def _kernel_kills() -> int:
-    """Return how many processes the kernel has killed for lack of memory since it booted."""
+    """Return the number of processes that the kernel has killed for lack of memory since boot."""
     try:
         with open("/proc/vmstat") as file:
             return next((int(line.split()[1]) for line in file if line.startswith("oom_kill ")), 0)

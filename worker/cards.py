@@ -1,6 +1,6 @@
-"""List the NVIDIA cards as CUDA_VISIBLE_DEVICES names them.
+"""List the NVIDIA GPUs by names for CUDA_VISIBLE_DEVICES.
 
-NVML, the driver's library that nvidia-smi uses, answers this. Asking CUDA would load it into this process.
+They come from NVML, the driver's library that nvidia-smi uses. CUDA itself would have to be loaded into this process.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ NAME_THEM = "or name the cards by number: --gpus 0,1"
 
 @dataclass(frozen=True)
 class Card:
-    """A card as NVML sees it.
+    """A card as NVML reports it.
 
-    uuid: GPU-.... model: its name. instances: those that MIG divides it into, each a device with a uuid of its own
-    (MIG-...), or None where MIG is off.
+    uuid: GPU-.... model: its name. instances: the uuids (MIG-...) of the instances into which MIG divides the card,
+    or None if MIG is off.
     """
 
     uuid: str
@@ -33,8 +33,7 @@ class Card:
 def all_cards() -> list[str]:
     """Return every device that this process may use: cards, and the instances of a card in MIG mode.
 
-    CUDA_VISIBLE_DEVICES limits them where it is set. Raises SetupError where there is none, and where NVML can't be
-    asked.
+    CUDA_VISIBLE_DEVICES limits them if it is set. Raises SetupError if there is none, or NVML fails.
     """
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
     found = _named_by_nvml() if visible is None else _named_by(visible)
@@ -47,9 +46,9 @@ def all_cards() -> list[str]:
 
 
 def _named_by_nvml() -> list[str]:
-    """Return the devices by number, as long as each card is one device, else by uuid.
+    """Return the devices by number if each card is one device, else by uuid.
 
-    CUDA counts cards in MIG mode in another way.
+    CUDA numbers cards in MIG mode differently.
     """
     cards = ask_nvml()
     if all(card.instances is None for card in cards):
@@ -58,7 +57,7 @@ def _named_by_nvml() -> list[str]:
 
 
 def _named_by(visible: str) -> list[str]:
-    """Return the devices that CUDA_VISIBLE_DEVICES names, up to the first entry that is not a name, as CUDA does.
+    """Return the devices that CUDA_VISIBLE_DEVICES names, up to the first invalid entry, as CUDA does.
 
     A card in MIG mode stands for its instances. NVML is not needed for the other cards.
     """
@@ -77,10 +76,10 @@ def _resolve(name: str, cards: list[Card]) -> tuple[str, ...]:
 
 
 def _find(name: str, cards: list[Card]) -> Card | None:
-    """Return the card of a number or of the beginning of a uuid.
+    """Return the card with a number, or with a uuid that begins with `name`.
 
-    NVML counts cards by their places on the bus, and CUDA by their speed unless CUDA_DEVICE_ORDER says otherwise. A
-    number means the same to both where all cards are of one model.
+    NVML orders cards by their places on the bus. CUDA orders them by speed unless CUDA_DEVICE_ORDER says otherwise. A
+    number means the same to both only if all cards are of one model.
     """
     if not name.isdecimal():
         return next((card for card in cards if card.uuid.startswith(name)), None)
@@ -95,7 +94,7 @@ def _devices(card: Card) -> tuple[str, ...]:
 def ask_nvml() -> list[Card]:
     """Return the cards of this machine or container.
 
-    Raises SetupError where NVML or its package is missing or fails.
+    Raises SetupError if NVML or its package is missing or fails.
     """
     try:
         import pynvml
@@ -112,7 +111,7 @@ def ask_nvml() -> list[Card]:
 
 @contextmanager
 def _nvml(pynvml: Any) -> Iterator[None]:
-    """Yield with NVML initialised. Raises SetupError for any NVML error in the block."""
+    """Initialise NVML for a block. Raises SetupError for any NVML error in it."""
     try:
         pynvml.nvmlInit()
         try:
@@ -129,7 +128,7 @@ def _nvml(pynvml: Any) -> Iterator[None]:
 def _mig_instances(pynvml: Any, handle: Any) -> tuple[str, ...] | None:
     try:
         mode, _ = pynvml.nvmlDeviceGetMigMode(handle)
-    except (pynvml.NVMLError_NotSupported, pynvml.NVMLError_FunctionNotFound):  # no MIG in the card, or the driver
+    except (pynvml.NVMLError_NotSupported, pynvml.NVMLError_FunctionNotFound):  # card or driver does not support MIG
         return None
     if mode != pynvml.NVML_DEVICE_MIG_ENABLE:
         return None

@@ -13,13 +13,13 @@ from service.contract.jobs import Jobs, attempt_path
 PERIOD = 1.0  # seconds between two checks for changed files
 LOG_PERIOD = 5.0
 CANCEL_PERIOD = 5.0
-# Of the results: the folder of found cameras, and the file in it that says what is there.
+# In the results: the folder of found cameras, and the file in it that lists the others.
 CAMERAS = "cameras"
 CAMERA_STATE = "cameras/search.json"
 
 
 class Carrier:
-    """A thread that uploads each file when it has changed. A failed upload is repeated at the next check."""
+    """A thread that uploads files when they change. A failed upload is repeated at the next check."""
 
     def __init__(self, jobs: Jobs, job: str, number: int, attempt: int, scratch: Path) -> None:
         self._jobs, self._job, self._number, self._attempt = jobs, job, number, attempt
@@ -28,14 +28,14 @@ class Carrier:
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._carry, daemon=True, name="carrier")
         self._since_log = self._since_cancel = 0.0
-        self.cancel_seen = False  # in the store, should Redis have lost it
+        self.cancel_seen = False  # whether the store has a cancel, which Redis may have lost
 
     def start(self) -> None:
         """Start uploading."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop uploading, after an upload that is under way has ended."""
+        """Stop uploading. An upload in progress is completed first."""
         self._done.set()
         self._thread.join()
 
@@ -44,9 +44,9 @@ class Carrier:
         self._send_linked(self._scratch / "out" / "checkpoint", "checkpoint")
 
     def send_cameras(self) -> None:
-        """Upload the files of the search for cameras that have changed. Raises StoreError.
+        """Upload the changed files of the search for cameras. Raises StoreError.
 
-        The state that names them is read before the others, and uploaded after them.
+        The state file, which names the others, is read before them and uploaded after them.
         """
         out = self._scratch / "out"
         state, snapshot = out / CAMERA_STATE, self._scratch / "cameras.state"
@@ -62,7 +62,7 @@ class Carrier:
             self._send(snapshot, CAMERA_STATE, state)
 
     def _send_linked(self, source: Path, name: str) -> None:
-        """Upload a file, if it has changed, by a second name: the job may replace the first while it is read."""
+        """Upload a file if it has changed, through a hard link, because the job may replace it during the upload."""
         if not self._changed(source):
             return
         linked = self._scratch / "checkpoint.sending"
@@ -93,7 +93,7 @@ class Carrier:
         try:
             step()
         except (StoreError, OSError):
-            return  # the next look tries again
+            return  # the next check tries again
 
     def _send_previews(self) -> None:
         for path in (self._scratch / "previews").glob("[!.]*"):

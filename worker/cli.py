@@ -1,6 +1,6 @@
-"""`mgsr-worker`: takes jobs of the service.
+"""`mgsr-worker`: processes jobs of the service.
 
-`mgsr-worker run` makes one run on this machine, as `mgsr run` does, and `mgsr-worker health` is for health checks.
+`mgsr-worker run` does the same as `mgsr run`, without the service. `mgsr-worker health` is for health checks.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ GpusOption = Annotated[
 def main(context: typer.Context, gpus: GpusOption = None) -> None:
     """Process jobs from the queue at MGSR_REDIS_URL and the store at MGSR_STORE, until stopped.
 
-    A running job then writes a checkpoint and returns to the queue. The command `run` makes a single run without queue
-    and store.
+    When stopped, a running job writes a checkpoint and returns to the queue. The command `run` makes a single run
+    without queue and store.
     """
     if context.invoked_subcommand is not None:
         return
@@ -36,7 +36,7 @@ def main(context: typer.Context, gpus: GpusOption = None) -> None:
 
 @app.command()
 def health() -> None:
-    """Report whether a worker of this machine is alive, for health checks. The exit code is 1 if none is."""
+    """Report whether a worker of this machine is alive, for health checks. The exit code is 1 if there is none."""
     with refusals():
         from service.contract.queue import connect
         from service.contract.settings import Settings

@@ -12,8 +12,8 @@ from dataclasses import is_dataclass
 def field_comments(kind: type) -> dict[str, str]:
     """Return the comment of each field of a dataclass and its bases, by the field's name.
 
-    It is the comment on the field's lines, with the lines below it that continue it in lower case. Without one, it is
-    the comment lines above.
+    This is the comment on the field's lines, with following lines that continue it in lower case. Without one, it is
+    the comment lines above the field.
     """
     inherited = [field_comments(base) for base in kind.__bases__ if is_dataclass(base)]
     return {name: text for texts in (*inherited, _own_comments(kind)) for name, text in texts.items()}

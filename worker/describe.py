@@ -25,7 +25,7 @@ LIBRARY = Path(contract.__file__).with_name("library.json")
 def describe_library() -> dict[str, Any]:
     """Return version, presets, methods, renamed settings, and a JSON schema of every setting.
 
-    A schema has the setting's meaning, from the comments of mgsr/config, and its default in the preset standard.
+    A schema has the setting's meaning, from the comments in mgsr/config, and its default in the preset standard.
     """
     defaults = Config()
     settings = {
@@ -45,7 +45,7 @@ def as_text(library: dict[str, Any]) -> str:
 
 
 def _valid(defaults: Config, path: str) -> Range | Pattern:
-    """Return the valid values of a number or a text; no setting may be negative (`mgsr.config.validate`)."""
+    """Return the valid values of a number or a string. No setting may be negative (`mgsr.config.validate`)."""
     group, _, name = path.rpartition(".")
     return marks(type(_value(defaults, group))).get(name, Range())
 

@@ -1,4 +1,4 @@
-"""Tell a container's health check whether a worker of this machine lives."""
+"""The health check of a container: whether a worker of this machine is alive."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SILENT_SECONDS = 120.0
 
 
 def worker_health(redis: Redis) -> tuple[bool, str]:
-    """Return whether a worker that was started on this host has reported lately, and a line about it.
+    """Return whether a worker of this host has reported recently, and a line about it.
 
     If the Redis server does not answer, the worker counts as healthy, because it waits for the server.
     """

@@ -1,4 +1,4 @@
-"""Refuse images that would fill the memory when they are decoded."""
+"""Refuse images that are too large to decode in memory."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """The job process: unpacks and reconstructs one scene.
 
-It has access neither to Redis nor to the store nor to secrets, because it reads untrusted uploads. A file contains its
-task. It answers with lines of JSON and a result file.
+It has no access to Redis, to the store and to secrets, because it reads untrusted uploads. A file contains its task. It
+answers with lines of JSON and a result file.
 
-python -m worker.job, with MGSR_JOB naming the spec and MGSR_JOB_PARENT the worker's process id.
+Run `python -m worker.job`. MGSR_JOB names the file of the task, and MGSR_JOB_PARENT is the worker's process id.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from service.contract.options import JobOptions
 if TYPE_CHECKING:
     from mgsr.pipeline.progress import Event, EventCallback
 
-# The pipe to the worker.
+# The file descriptor of the pipe to the worker.
 EVENTS_FD = 3
 # The niceness of the process. The watching worker, and the API on a laptop, have priority.
 NICE = 5
 
 
 class JobSpec(BaseModel):
-    """The worker's request; all files lie in the attempt's scratch folder."""
+    """The task from the worker. All files are in the attempt's scratch folder."""
 
     options: JobOptions
     archive: Path
@@ -69,7 +69,7 @@ def main() -> None:
     partial = spec.result.with_suffix(".partial")
     partial.write_text(result.model_dump_json())
     os.replace(partial, spec.result)
-    # All files are written. A regular exit would take a second more to destroy the objects of Torch and Open3D.
+    # All files are written. A regular exit would spend another second on destroying objects of Torch and Open3D.
     os._exit(0)
 
 
@@ -120,7 +120,7 @@ def _reconstruct(spec: JobSpec) -> None:
 
         with RunDisplay(spec.out / LOG, append=spec.resume) as display:
             report = Reporter(spec.previews, partial(_tell, spec), partial(_log, spec, display))
-            # The scene is given by its name alone, so that report and log do not contain the worker's folders.
+            # The scene is given by its relative name, so that report and log do not contain the worker's folders.
             os.chdir(spec.scene.parent)
             if options.dry_run:
                 write_estimate(Path(spec.scene.name), spec.out, config, options.device, report, stop)
@@ -131,7 +131,7 @@ def _reconstruct(spec: JobSpec) -> None:
 
 
 def _unpack(spec: JobSpec) -> None:
-    """Unpack the archive into the scene's folder; a video that came alone is put there."""
+    """Unpack the archive into the scene's folder, or move a single video there."""
     from mgsr.data.archive import ArchiveLimits, unpack
     from mgsr.data.video import suffix_by_content
 
@@ -144,7 +144,7 @@ def _unpack(spec: JobSpec) -> None:
 
 
 def emit(kind: str, **data: Any) -> None:
-    """Send the worker an event; if the worker is gone, this process ends soon too."""
+    """Send the worker an event. Errors are ignored, as this process ends soon if the worker is gone."""
     with contextlib.suppress(BrokenPipeError):
         os.write(EVENTS_FD, (json.dumps({"event": kind, **data}) + "\n").encode())
 
@@ -165,7 +165,7 @@ def _unexpected(error: BaseException) -> JobResult:
 
 
 def _without_folders(text: str, spec: JobSpec) -> str:
-    """Return the message without the worker's own paths, which mean nothing to its reader."""
+    """Remove the worker's own paths, which mean nothing to the reader, from a message."""
     for folder, name in ((spec.scene, "archive"), (spec.out, "results")):
         text = text.replace(f"{folder}/", "").replace(str(folder), name)
     return text

@@ -1,4 +1,4 @@
-"""The photographs of a run for people to look at: sheets of small pictures, and the cameras."""
+"""The photographs of a run for display: sheets of small pictures, and the cameras."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ FILE = "photographs.json"
 
 
 class PhotographFiles:
-    """Writes photographs.json, photographs.webp and masks.webp into a folder, each whole or not at all."""
+    """A writer of photographs.json, photographs.webp and masks.webp, each atomically, into a folder."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._inspection: Inspection | None = None
 
     def checked(self, inspection: Inspection, scene: Scene) -> None:
-        """Write the photographs that were checked, and their masks where they have any."""
+        """Write the checked photographs, and their masks if they have any."""
         self._inspection = inspection
         self._write_sheet("photographs", scene, lambda view: view.image)
         self.masked(scene)
 
     def masked(self, scene: Scene) -> None:
-        """Write the masks that the photographs have, and the region that is reconstructed. Without a check: nothing."""
+        """Write the photographs' masks and the reconstructed region. Without a check, write nothing."""
         if self._inspection is None:
             return
         if scene.masked:

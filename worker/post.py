@@ -1,7 +1,7 @@
-"""Tell owners by webhook that their jobs have ended, signed as Standard Webhooks 1.0 requires.
+"""Notify owners by webhook that their jobs have ended, signed according to Standard Webhooks 1.0.
 
-Pending messages lie in the store (`webhooks/`), so they survive the death of a worker and the loss of Redis. Redis
-keeps the time of each message's next try. A message may arrive twice, with the same id.
+The store holds pending messages (`webhooks/`), so they survive the death of a worker and the loss of Redis. Redis holds
+the time of each message's next try. A message may arrive twice, with the same id.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from service.contract.webhooks import is_public, webhook_secret
 log = logging.getLogger("mgsr.worker")
 
 TRY_SECONDS = 20.0  # for one call, from the name's lookup to the answer
-# Seconds from one try to the next; the last for all that follow.
+# Seconds from one try to the next; the last value holds for all further tries.
 BACK_OFF = (5, 30, 120, 600, 1800, 3600)
 GIVEN_UP_SECONDS = 86400.0
-AT_ONCE = 16  # calls at the same time
-_GONE = 410  # the receiver wants no more
+AT_ONCE = 16  # the most simultaneous calls
+_GONE = 410  # the receiver wants no more messages
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Message:
 
 
 class Post:
-    """Delivers what is due. allow_private: whether addresses of this machine and its network may be called."""
+    """The delivery of webhooks. allow_private: whether to call addresses of this machine and its network."""
 
     def __init__(self, jobs: Jobs, redis: Redis, allow_private: bool) -> None:
         self._jobs, self._redis, self._allow_private = jobs, redis, allow_private
@@ -69,9 +69,9 @@ class Post:
             asyncio.run(self._deliver(due))
 
     def _due(self, job: str, number: int) -> Message | None:
-        """Return the message, claimed for one try; None while another worker tries it or it waits.
+        """Claim a message for one try, and return it.
 
-        Also None for a job without an outcome or a webhook.
+        Returns None while another worker tries it or it waits, and for a job without outcome or webhook.
         """
         outcome, record = self._jobs.outcome(job, number), self._jobs.record(job)
         if outcome is None or record is None or record.options.webhook is None:
@@ -99,7 +99,7 @@ class Post:
         await asyncio.gather(*(one(message) for message in due))
 
     def _note(self, message: Message, trouble: str | None) -> None:
-        """Forget a message that arrived or never will; otherwise set the time of the next try."""
+        """Forget a message that arrived or that is given up. Otherwise set the time of the next try."""
         job, number = message.record.id, message.round
         if trouble is None or trouble == str(_GONE) or message.age > GIVEN_UP_SECONDS:
             self._jobs.mark_notified(job, number)
@@ -114,7 +114,7 @@ class Post:
 
 
 def content(record: JobRecord, number: int, outcome: Outcome) -> dict[str, object]:
-    """Return the message's JSON content: type, timestamp and data, with the job's outcome."""
+    """Return the JSON content of a message: type, timestamp, and data with the job's outcome."""
     payload = outcome.model_dump(mode="json", include={"status", "finished", "error", "metrics"})
     return {
         "type": f"job.{outcome.status}",
@@ -131,7 +131,7 @@ def signature(secret: str, message: str, sent: str, body: bytes) -> str:
 
 
 async def call(message: Message, allow_private: bool) -> str | None:
-    """Send a message; return None if it was accepted (2xx), else the reason. Redirects are not followed."""
+    """Send a message without following redirects. Returns None if it was accepted (2xx), else the reason."""
     try:
         async with asyncio.timeout(TRY_SECONDS):
             url = httpx.URL(message.url)
@@ -153,7 +153,7 @@ async def call(message: Message, allow_private: bool) -> str | None:
 
 
 async def _address(url: httpx.URL, allow_private: bool) -> str | None:
-    """Return an IP address of the host; None where it has any that may not be called."""
+    """Return an IP address of the host, or None if any of its addresses may not be called."""
     port = url.port or {"http": 80, "https": 443}[url.scheme]
     found = await asyncio.get_running_loop().getaddrinfo(url.host, port, type=socket.SOCK_STREAM)
     addresses = [str(entry[4][0]) for entry in found]

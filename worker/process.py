@@ -13,14 +13,14 @@ from typing import Any
 
 from worker.job import EVENTS_FD
 
-# The environment variables that the job process gets. Addresses and secrets of Redis and the store are left out.
+# The environment variables for the job process. It must not get the addresses and secrets of Redis and the store.
 _PASSED = (
     *("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH"),
-    *("CUDA_VISIBLE_DEVICES", "CUDA_DEVICE_ORDER"),  # a number means a card only in an order
+    *("CUDA_VISIBLE_DEVICES", "CUDA_DEVICE_ORDER"),  # both, as a card's number depends on the order
 )
 _PASSED_PREFIXES = (
     *("OMP_", "MKL_", "NVIDIA_", "MGSR_CPU_", "MGSR_CUDA_"),
-    *("PYTORCH_ALLOC_", "PYTORCH_CUDA_", "PYTORCH_NO_CUDA_"),  # how torch takes a card's memory
+    *("PYTORCH_ALLOC_", "PYTORCH_CUDA_", "PYTORCH_NO_CUDA_"),  # the settings of torch's allocator on a GPU
 )
 
 
@@ -33,9 +33,9 @@ class Exit:
 
 
 class JobProcess:
-    """One run of worker/job.py, in a separate process group and tied to the thread that started it.
+    """A run of worker/job.py, in a process group of its own and tied to the thread that starts it.
 
-    It is spawned as a new program, so that it inherits no thread and no CUDA state.
+    It is spawned as a new program, so that it inherits no threads and no CUDA state.
     """
 
     def __init__(self, spec: Path, scratch: Path) -> None:
@@ -63,7 +63,7 @@ class JobProcess:
         self.peak_memory = 0
 
     def events(self) -> list[dict[str, Any]]:
-        """Return the events that it has sent since the last call."""
+        """Return the events that the process has sent since the last call."""
         try:
             while chunk := os.read(self._read, 1 << 16):
                 self._buffer += chunk
@@ -73,7 +73,7 @@ class JobProcess:
         return [json.loads(line) for line in lines if line.strip()]
 
     def poll(self) -> Exit | None:
-        """Return how it ended, or None while it runs."""
+        """Return how the process ended, or None while it runs."""
         if self.exit is None:
             pid, status, usage = os.wait4(self.pid, os.WNOHANG)
             if pid != 0:
@@ -82,7 +82,7 @@ class JobProcess:
         return self.exit
 
     def memory(self) -> int:
-        """Return the bytes of memory that it uses; 0 once it is gone."""
+        """Return the memory that the process uses in bytes, or 0 once it is gone."""
         try:
             status = Path(f"/proc/{self.pid}/status").read_text()
         except OSError:
@@ -93,24 +93,24 @@ class JobProcess:
         return now
 
     def ask_to_stop(self) -> None:
-        """Ask it to write a checkpoint and end."""
+        """Ask the process to write a checkpoint and end."""
         self._signal(signal.SIGTERM)
 
     def kill(self) -> Exit:
-        """Kill it and whatever it started, and wait until they are gone."""
+        """Kill the process and its children, and wait until they are gone."""
         self._signal(signal.SIGKILL)
         while (ended := self.poll()) is None:
             time.sleep(0.01)
         return ended
 
     def close(self) -> None:
-        """Make sure that it is gone, and close the pipe."""
+        """Make sure that the process is gone, and close the pipe."""
         if self.exit is None:
             self.kill()
         os.close(self._read)
 
     def _signal(self, number: signal.Signals) -> None:
-        # Before it has been waited for, its process id can't belong to another process.
+        # Until the process has been waited for, its id can't belong to another process.
         if self.exit is None:
             os.killpg(self.pid, number)
 

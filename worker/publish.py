@@ -39,9 +39,9 @@ def upload_results(store: Store, job: str, attempt: int, out: Path) -> list[Arti
 
 
 def headline(out: Path) -> dict[str, Any]:
-    """Return the figures of report.json for the job's own document, and its notes on the photographs.
+    """Return the main figures and the notes of report.json for the job's outcome.
 
-    Of a dry run, it is the estimate of each preset.
+    For a dry run, return the estimate of each preset.
     """
     if (out / _ESTIMATE).is_file():
         return {"estimate": json.loads((out / _ESTIMATE).read_text())["presets"]}
@@ -52,7 +52,7 @@ def headline(out: Path) -> dict[str, Any]:
 
 
 def findings(out: Path) -> list[dict[str, Any]] | None:
-    """Return what the check before training found; None where there was no check."""
+    """Return the findings of the check before training, or None without a check."""
     document = _ESTIMATE if (out / _ESTIMATE).is_file() else "report.json"
     inspection = json.loads((out / document).read_text()).get("inspection")
     return None if inspection is None else list(inspection["findings"])
@@ -64,5 +64,5 @@ def _sha256(path: Path) -> str:
 
 
 def media_type(name: str) -> str:
-    """Return the media type of a result file, by its name."""
+    """Return the media type of a result file, given its name."""
     return _TYPES.get(Path(name).suffix) or mimetypes.guess_type(name)[0] or "application/octet-stream"

@@ -25,7 +25,7 @@ CURVE_ROWS = 240
 # The steps after training take this many seconds, plus this share of the seconds of training.
 AFTER_SECONDS = 15.0
 AFTER_SHARE = 0.1
-# Progress at which a step before training begins. The duration of training is unknown then.
+# The progress at which each step before training begins. The duration of training is still unknown.
 BEFORE = {
     "unpack": 0.0,
     "load": 0.01,
@@ -45,7 +45,10 @@ AFTER = {"export": 0.0, "mesh": 0.0, "evaluate": 0.5, "model": 0.7, "render": 0.
 
 
 class Reporter:
-    """A callback for `run_scene`: keeps the curve, throttles, estimates the time left. All events also go to `log`."""
+    """A callback for `run_scene` that throttles events, keeps the curve and estimates the time left.
+
+    previews: the folder of preview pictures. emit: receives the reports. log: receives all events.
+    """
 
     def __init__(self, previews: Path, emit: Callable[..., None], log: EventCallback) -> None:
         self._previews = previews
@@ -75,7 +78,7 @@ class Reporter:
             self._emit("step", text=event.text, step=event.step, **self._place(self._reached(left), left))
 
     def _prepare(self, event: Event) -> None:
-        """Report a step before training, with its progress and its remaining time if they are known."""
+        """Report a step before training, with its progress and remaining time if they are known."""
         if event.step != self._step:
             self._step, self._started_at = event.step, time.monotonic()
         self._searched |= event.step == "cameras"
@@ -145,9 +148,9 @@ class Reporter:
             self._curve = self._curve[::2]
 
     def _left(self, training: Progress) -> float | None:
-        """Return the seconds to the run's end: the rest of training at its pace so far, and what follows it.
+        """Return the seconds to the end of the run: the rest of training at its pace so far, and the steps after it.
 
-        None while training is less than a hundredth done.
+        Returns None until a hundredth of training is done.
         """
         if training.done < 0.01:
             return None
@@ -156,13 +159,13 @@ class Reporter:
         return whole_training - training.seconds + self._after
 
     def _reached(self, left: float, trained: float = 0.0) -> float:
-        """Return progress 0..1, from the share of time since training began; training before a resume counts too."""
+        """Return progress 0..1 as a share of time. trained: seconds of training, with those before a resume."""
         spent = max(time.monotonic() - self._started_at, trained)
         begin = self._after_search(BEFORE["train"])
         return begin + (1 - begin) * spent / (spent + left)
 
     def _place(self, progress: float, left: float | None) -> dict[str, Any]:
-        """Return progress, which never falls, and the time left; the step's own fields are None."""
+        """Return the fields of progress, which never falls, and time left. The fields of the step itself are None."""
         self._progress = max(self._progress, min(progress, 0.99))
         whole = {"progress": round(self._progress, 4), "eta_seconds": None if left is None else round(left, 1)}
         return whole | {"step_progress": None, "step_eta_seconds": None}

@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("mgsr.worker")
 
-# Seconds for which requests during a round are repeated. A later check repeats them anyway.
+# The seconds for which failed requests during a round are repeated. Later checks repeat them anyway.
 SHORT_PATIENCE = 5.0
 
 
 class Rounds:
-    """One worker's handling of the rounds that it takes from the queue."""
+    """A worker's handling of the rounds that it takes from the queue."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class Rounds:
         self.jobs = Jobs(Store(settings.store_url, SHORT_PATIENCE))
 
     def take(self, job: str, number: int, beat: Callable[[], None], waiting_since: datetime | None = None) -> None:
-        """Work on a round, unless another worker does or it is over. waiting_since: when it was queued.
+        """Work on a round, unless another worker does or it has ended. waiting_since: when it was queued.
 
         Errors of Redis or the store are logged. The round then stays open, and recovery puts it back into the queue.
         """
@@ -117,7 +117,7 @@ class Rounds:
         try:
             self.live.publish(job, "status", data)
         except RedisError:
-            return  # listeners also read the store from time to time
+            return  # listeners also read the store periodically
 
 
 def _given_up(lost: int) -> Outcome:

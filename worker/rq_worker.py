@@ -1,4 +1,4 @@
-"""The worker process: RQ takes rounds from the queue, worker/rounds.py does the work."""
+"""The worker process: RQ takes rounds from the queue, and worker/rounds.py does the work."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ log = logging.getLogger("mgsr.worker")
 SWEEP_PERIOD = 30.0
 WORKER_TTL = 60
 
-# The worker that runs this thread's task: RQ calls tasks by name, with the arguments from the queue alone.
+# The worker that runs this thread's task. RQ calls tasks by name, with only the arguments from the queue.
 current_worker: ContextVar[MgsrWorker] = ContextVar("current_worker")
 
 
@@ -44,17 +44,17 @@ class NoPenalty(BaseDeathPenalty):
     """RQ's timeout, switched off: the attempt watches the job's own deadline."""
 
     def setup_death_penalty(self) -> None:
-        """Set no alarm."""
+        """Do nothing instead of setting an alarm."""
 
     def cancel_death_penalty(self) -> None:
-        """Cancel nothing: no alarm was set."""
+        """Do nothing, since there is no alarm."""
 
 
 class StopSignals:
-    """A request to stop, by SIGTERM or SIGINT: a running attempt writes a checkpoint and goes back into the queue.
+    """The signal handlers of SIGTERM and SIGINT, and whether one of them has come.
 
-    An idle worker ends. There is one for the life of the process: RQ's own handlers belong to a worker, and each loss
-    of Redis makes a new worker.
+    A running attempt then writes a checkpoint and returns to the queue, and an idle worker ends. The object lives as
+    long as the process, unlike RQ's handlers, which belong to a worker; each loss of Redis needs a new worker.
     """
 
     def __init__(self) -> None:
@@ -75,7 +75,7 @@ class StopSignals:
 
 
 class MgsrWorker(SimpleWorker):
-    """Runs its tasks in its own process, which only supervises; `Attempt` spawns the job itself as a process."""
+    """An RQ worker that runs tasks in its own process. Tasks only supervise; `Attempt` spawns the job as a process."""
 
     death_penalty_class = NoPenalty
     max_connection_wait_time = 2.0
@@ -85,7 +85,7 @@ class MgsrWorker(SimpleWorker):
         self, queues: list[str], settings: Settings, stop: StopSignals, telemetry: TracerProvider | None = None
     ) -> None:
         url = settings.need_redis()
-        # Two clients: RQ raises the time-out of its own, so that it can wait for jobs; leases must not wait so long.
+        # There are two clients: RQ raises its client's time-out to wait for jobs, and leases must not wait that long.
         connection = connect(url)
         self.rounds = Rounds(settings, connect(url), stop, telemetry)
         self._stop = stop
@@ -112,10 +112,10 @@ class MgsrWorker(SimpleWorker):
             raise StopRequested
 
     def _install_signal_handlers(self) -> None:
-        """Install no handlers of its own (see StopSignals)."""
+        """Do nothing, since StopSignals has the handlers."""
 
     def handle_exception(self, job: Job, *exc_info: Any) -> None:
-        """Log what should not have happened; recovery puts the round back."""
+        """Log an unexpected error. Recovery puts the round back into the queue."""
         log.error("job %s: the attempt failed unexpectedly", job.id, exc_info=exc_info)
 
 
@@ -136,7 +136,7 @@ def work(queues: list[str], settings: Settings) -> None:
 
 
 def _keep_house(settings: Settings) -> None:
-    """Recover lost jobs, and remove what killed workers left on this machine's disk."""
+    """Recover lost jobs, and remove the scratch folders of killed workers from this machine's disk."""
     rounds = Rounds(settings, connect(settings.need_redis()), lambda: False)
     recovery = Recovery(rounds.jobs, rounds.live, rounds.queue)
     swept = float("-inf")
@@ -152,7 +152,7 @@ def _keep_house(settings: Settings) -> None:
 
 
 def _send_post(settings: Settings) -> None:
-    """Deliver webhooks in a thread, which slow receivers may delay without harm."""
+    """Deliver webhooks. This runs in a thread of its own, which slow receivers may delay."""
     rounds = Rounds(settings, connect(settings.need_redis()), lambda: False)
     post = Post(rounds.jobs, rounds.live.redis, settings.webhook_private)
     while True:

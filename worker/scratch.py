@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-ATTEMPTS, PAUSE = 10, 0.1  # to remove a folder, seconds between two of them
+ATTEMPTS, PAUSE = 10, 0.1  # the attempts to remove a folder, and the seconds between two of them
 
 
 @contextmanager
@@ -61,7 +61,7 @@ def _removed(folder: Path) -> bool:
 
 
 def _hold(path: Path) -> int:
-    """Create and lock a file, and return its descriptor; the file is made again if `sweep` removed it in between."""
+    """Create and lock a file, and return its descriptor. If `sweep` removes the file in between, create it again."""
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         fcntl.flock(handle, fcntl.LOCK_EX)

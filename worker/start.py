@@ -1,4 +1,4 @@
-"""Start one worker in this process, or one for each card."""
+"""Start one worker in this process, or one per GPU."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ _CARD = "MGSR_WORKER_CARD"
 
 
 def start_workers(gpus: str | None) -> None:
-    """Work until a signal.
+    """Process jobs until a signal.
 
-    gpus: "all", or cards by number or uuid, as in CUDA_VISIBLE_DEVICES; None works on the CPU. Raises SetupError.
+    gpus: "all", or GPUs by number or uuid, as in CUDA_VISIBLE_DEVICES; None means the CPU. Raises SetupError if there
+    is no such GPU.
     """
     if _CARD in os.environ:
         _work(on_card=True)
@@ -59,9 +60,9 @@ def _one_for_each(cards: list[str]) -> None:
                 child.start()
             keep_alive(children)
     finally:
-        for number in (signal.SIGTERM, signal.SIGINT):  # from here on they end anyway
+        for number in (signal.SIGTERM, signal.SIGINT):  # further signals must not interrupt the end
             signal.signal(number, signal.SIG_IGN)
-        # All at once, because each may have to write a checkpoint.
+        # The workers stop simultaneously, because each may have to write a checkpoint.
         with ThreadPoolExecutor(len(children)) as pool:
             list(pool.map(lambda child: child.stop(at_once=False), children))
 

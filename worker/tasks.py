@@ -1,4 +1,4 @@
-"""The tasks that the queue may ask of a worker, by name."""
+"""The tasks that workers run, which the queue names."""
 
 from __future__ import annotations
 

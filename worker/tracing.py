@@ -1,4 +1,4 @@
-"""The spans of a worker's round, in the trace that the job's submit began: the wait, the work and its steps."""
+"""The spans of a worker's round in the trace of the job's submit: the wait, the work and its steps."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class RoundTrace:
-    """The spans of one attempt at a round. Use in `with`; without a provider it does nothing."""
+    """The spans of an attempt at a round, as a context manager. Without a provider it does nothing."""
 
     def __init__(
         self, provider: TracerProvider | None, record: JobRecord, number: int, waiting_since: datetime | None
@@ -50,7 +50,7 @@ class RoundTrace:
         self._stack.__exit__(kind, error, trace)
 
     def step(self, name: str | None) -> None:
-        """Begin the span of a step, and end that of the one before."""
+        """Begin the span of a step, and end that of the previous step."""
         if self._tracer is None or name == self._step_name:
             return
         if self._step is not None:
@@ -59,7 +59,7 @@ class RoundTrace:
         self._step = None if name is None else self._tracer.start_span(f"step {name}")
 
     def ended(self, attempt: int, outcome: Outcome) -> None:
-        """Note how the round ended."""
+        """Record how the round ended."""
         if self._work is None:
             return
         from opentelemetry.trace import StatusCode

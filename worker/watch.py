@@ -18,7 +18,7 @@ DISK_PERIOD = 1.0
 
 
 class Reason(StrEnum):
-    """Why an attempt is stopped from outside."""
+    """A reason to stop an attempt from outside."""
 
     CANCELLED = "cancelled"
     DEADLINE = "deadline_exceeded"
@@ -29,7 +29,7 @@ class Reason(StrEnum):
 
 
 class Watch:
-    """The check of everything that can end an attempt. `look` returns the first reason found, and keeps it."""
+    """The check of all reasons that can stop an attempt. `look` keeps returning the first reason found."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class Watch:
         self.reason: Reason | None = None
 
     def look(self, memory: Callable[[], int] | None = None) -> Reason | None:
-        """Return the reason to stop, if there is one by now. memory: measures the job process."""
+        """Return the reason to stop, or None. memory: returns the memory of the job process in bytes."""
         if self.reason is None:
             self.reason = self._outside() or self._find(memory)
         return self.reason
@@ -71,7 +71,7 @@ class Watch:
         try:
             return self._live.cancel_asked(self._job, self._number)
         except RedisError:
-            return False  # asked again in a moment
+            return False  # the next check asks again
 
     def _due(self, what: str, period: float) -> bool:
         now = time.monotonic()

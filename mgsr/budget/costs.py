@@ -19,7 +19,7 @@ from mgsr.mesh.steps.step import rendered_pixels, surface_cells
 
 LOADING, LOADED = 0.15, 0.01  # seconds of reading: of any capture, and per view of the usual size
 GROWN = 0.15  # Gaussians added by error-driven growth, per pixel of a view
-STEREO = 18.5  # seconds per megapixel that stereo searches, of all photographs together
+STEREO = 13.2  # seconds per megapixel that stereo searches, of all photographs together
 FILLED = 0.1  # seconds per view for filling depths in regions without contrast
 STEREO_POINTS = 0.034  # starting points per pixel that stereo searches
 ROUNDS, FLASH_ROUNDS = 3, 10  # rounds of refining the surface, without and with a flash

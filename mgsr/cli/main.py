@@ -14,6 +14,7 @@ from mgsr.cli.demo import demo
 from mgsr.cli.options import (
     AsSceneOption,
     DeviceOption,
+    DracoOption,
     FacesOption,
     LodsOption,
     MethodOption,
@@ -141,13 +142,14 @@ def mesh(
     lods: LodsOption = None,
     obj: ObjOption = False,
     usdz: UsdzOption = False,
+    draco: DracoOption = False,
     up: UpOption = None,
     scale: ScaleOption = None,
     settings: SetOption = None,
 ) -> None:
     """Extract mesh.ply and model.glb from the splats in OUT, with the preset's settings for the mesh."""
     with refusals():
-        overrides = [*(settings or []), *output_overrides(faces, texture, lods, obj, usdz, up, scale)]
+        overrides = [*(settings or []), *output_overrides(faces, texture, lods, obj, usdz, draco, up, scale)]
         config = make_config(preset, overrides=overrides)
         from mgsr.pipeline.single_steps import mesh_again
 

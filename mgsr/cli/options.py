@@ -53,6 +53,9 @@ LodsOption = Annotated[
 ]
 ObjOption = Annotated[bool, typer.Option("--obj", help="Also write mesh.obj.")]
 UsdzOption = Annotated[bool, typer.Option("--usdz", help="Also write model.usdz (pip install 'mgsr\\[usd]').")]
+DracoOption = Annotated[
+    bool, typer.Option("--draco", help="Also write model_draco.glb, which is compressed (pip install 'mgsr\\[draco]').")
+]
 UpOption = Annotated[
     Up | None, typer.Option(help="The axis of the capture's frame that points up. It becomes y in .glb files.")
 ]
@@ -76,12 +79,13 @@ def output_overrides(
     lods: int | None,
     obj: bool,
     usdz: bool,
+    draco: bool,
     up: Up | None,
     scale: float | None,
 ) -> list[str]:
     """Return what these options mean as settings; none for what was not given."""
     given: dict[str, object] = {"faces": faces, "texture": texture, "lods": lods, "obj": "on" if obj else None}
-    given |= {"usdz": "on" if usdz else None, "up": up, "scale": scale}
+    given |= {"usdz": "on" if usdz else None, "draco": "on" if draco else None, "up": up, "scale": scale}
     return [f"output.{name}={value}" for name, value in given.items() if value is not None]
 
 

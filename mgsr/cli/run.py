@@ -7,6 +7,7 @@ from pathlib import Path
 
 from mgsr.cli.options import (
     DeviceOption,
+    DracoOption,
     FacesOption,
     LodsOption,
     MethodOption,
@@ -42,6 +43,7 @@ def run(
     lods: LodsOption = None,
     obj: ObjOption = False,
     usdz: UsdzOption = False,
+    draco: DracoOption = False,
     up: UpOption = None,
     scale: ScaleOption = None,
     settings: SetOption = None,
@@ -50,7 +52,7 @@ def run(
     """Reconstruct SCENE into OUT: mesh, splats, renders of the test views and a report."""
     started_at = time.perf_counter()
     with refusals(resumes=True):
-        wishes = [*(settings or []), *output_overrides(faces, texture, lods, obj, usdz, up, scale)]
+        wishes = [*(settings or []), *output_overrides(faces, texture, lods, obj, usdz, draco, up, scale)]
         wishes += [] if time_budget is None else [f"time_budget={time_budget}"]
         report = _run(scene, out, make_config(preset, method, seed, wishes), device, resume, started_at)
     print(f"mesh   {out / 'mesh.ply'}")

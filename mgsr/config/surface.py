@@ -103,6 +103,8 @@ class OutputConfig:
     up: Up = Up.AUTO
     obj: bool = False  # The file mesh.obj is written as well.
     usdz: bool = False  # The file model.usdz is written as well, for Apple's devices. It needs the package usd-core.
+    draco: bool = False  # The file model_draco.glb is written as well: the textured model, compressed by Draco, with
+    # maps as WebP. It needs the package DracoPy.
     # The textured model is decimated to this many faces, because its maps hold the detail. none: all faces.
     faces: int | None = 100_000
     # The side of the textured model's maps, in texels. none: a texel is as large as a pixel of the photographs.

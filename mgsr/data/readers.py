@@ -1,4 +1,4 @@
-"""Read a folder or archive of photographs, or a video, as a Scene in its normalised frame."""
+"""Read a folder or an archive of photographs, or a video, as a Scene in its normalised frame."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from mgsr.data.silhouettes import view_silhouettes
 from mgsr.data.usable import usable_photos
 from mgsr.errors import ConfigError, SceneError
 
-# The names of camera files that users pass instead of their folder.
+# Suffixes of camera files, which users may pass instead of their folder.
 _CAMERA_SUFFIXES = (".json", ".xml", ".csv", ".txt", ".bin", ".npz", ".npy", ".nvm", ".out", ".sfm", ".log", ".ply")
 
 
@@ -47,18 +47,18 @@ def load_scene(
 ) -> Scene:
     """Load the scene at `path`, a folder, an archive or a video, and decode its images.
 
-    If the photographs have no cameras, they are searched for, which takes minutes.
+    If the photographs have no cameras, structure from motion finds them, which takes minutes.
 
-    config: the settings of the reading; None means the defaults.
-    unpack_to: where an archive's files go; by default a temporary folder.
+    config: the settings; None means the defaults.
+    unpack_to: the folder for an archive's files, by default a temporary one.
     progress: called every few seconds with the numbers of decoded and of all photographs.
     search: the terms of a search for cameras.
-    options: expert options of the reading.
+    options: the expert options.
 
-    A name is unique within train and within test. `test` is empty if the files name no split and there are fewer than
-    `config.test_every` views.
+    View names are unique within train and within test. `test` is empty if the files name no split and there are fewer
+    than `config.test_every` views.
 
-    Raises SceneError, which names the file and the remedy, before anything is trained.
+    Raises SceneError, which names the file and the remedy, and ConfigError for settings out of range.
     """
     config = DataConfig() if config is None else config
     found = find_capture(path, config, unpack_to)
@@ -69,9 +69,10 @@ def load_scene(
 def find_capture(
     path: str | os.PathLike[str], config: DataConfig | None = None, unpack_to: Path | None = None
 ) -> FoundScene:
-    """Find the scene at `path`, with the arguments of `load_scene`; its cameras and photographs are not read yet.
+    """Find the scene at `path` without reading its cameras and photographs.
 
-    Raises SceneError where there is none, and ConfigError for settings out of range.
+    The arguments are those of `load_scene`. Raises SceneError if there is no scene, and ConfigError for settings out of
+    range.
     """
     config = DataConfig() if config is None else config
     _check_config(config)
@@ -85,9 +86,9 @@ def load_capture(
     progress: LoadProgress | None = None,
     options: DataOptions = DataOptions(),
 ) -> Scene:
-    """Read a scene that `find_capture` found and decode its images (see `load_scene`).
+    """Read a scene that `find_capture` found, and decode its images; see `load_scene`.
 
-    Raises SceneError.
+    Raises SceneError if it can't be read or has too few views.
     """
     path = found.given
     capture = _read(found)
@@ -102,7 +103,7 @@ def load_capture(
     silhouettes = view_silhouettes(views.train, options.normalisation.contour_side)
     agreeing, odd = agreeing_masks(views.train, silhouettes, options.odd_masks)
     train_views = list(compress(views.train, agreeing))
-    # Ignored regions still lie within the view.
+    # Normalisation counts the whole view, ignored regions included.
     in_view = (
         [replace(view, valid_mask=None) for view in train_views] if views.ignoring and not silhouettes else train_views
     )
@@ -137,16 +138,16 @@ def load_capture(
 
 
 def _read(found: FoundScene) -> Capture:
-    """Read the cameras of a scene, which must have some."""
+    """Read the cameras of a scene, which must have a format."""
     assert found.kind is not None, "the cameras must have been searched for"
     return found.kind.read(found.folder)
 
 
 def split(photos: Sequence[Photo], test_every: int) -> tuple[list[Photo], list[Photo]]:
-    """Split the photographs, ordered by name, into training and test ones.
+    """Split photographs into training and test photographs, each ordered by name.
 
-    The files' own split comes first. Without one, every n-th photograph is a test, from the first on; fewer than n
-    photographs are all needed for training.
+    The files' own split is used if they name one. Otherwise every `test_every`-th photograph is for testing, from the
+    first on; if there are fewer than `test_every`, all are for training.
     """
     ordered = sorted(photos, key=lambda photo: photo.image)
     if any(photo.split for photo in ordered):
@@ -184,12 +185,12 @@ def _as_folder(path: Path, unpack_to: Path | None) -> Path:
 
 
 def _stem(path: Path) -> str:
-    """Return the name of an archive or a video without its suffix."""
+    """Return the name of an archive or a video without suffix."""
     return path.stem if is_video_name(path) else archive_stem(path)
 
 
 def _folder_of_video(path: Path) -> Path:
-    """Return a folder that holds a link to a video alone, and is removed when the process ends."""
+    """Create a folder that holds only a link to a video, and that is removed when the process ends."""
     folder = temporary_folder("mgsr-video-") / _stem(path)
     folder.mkdir()
     (folder / path.name).symlink_to(path.resolve())
@@ -197,9 +198,10 @@ def _folder_of_video(path: Path) -> Path:
 
 
 def _with_masks(photos: list[Photo], folder: SceneFolder, masks: Masks) -> tuple[list[Photo], tuple[str, ...]]:
-    """Return the photographs with the masks that lie beside them under their names, where the files name none.
+    """Give each photograph without a mask the mask file of the same name.
 
-    Also returns a note where masks can't be assigned: none has a photograph's name, or one fits several photographs.
+    Returns the photographs, and a note if masks can't be assigned because none has a photograph's name, or one fits
+    several photographs.
     """
     if masks is Masks.OFF:
         return photos, ()
@@ -228,9 +230,9 @@ def _with_masks(photos: list[Photo], folder: SceneFolder, masks: Masks) -> tuple
 def _load(
     train: list[Photo], test: list[Photo], config: DataConfig, progress: LoadProgress | None, options: DataOptions
 ) -> SettledViews:
-    """Load the training and test photographs and settle their masks.
+    """Load the training and test photographs, and settle their masks.
 
-    Names are unique within train and within test only: NeRF-synthetic scenes call views of both r_0.
+    Names are unique only within train and within test, since NeRF-synthetic scenes have a view r_0 in both.
     """
     names = [view_names([photo.image for photo in part]) for part in (train, test)]
     loaded = load_views(train + test, names[0] + names[1], config, progress, options.undistortion)

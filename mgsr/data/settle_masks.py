@@ -1,4 +1,4 @@
-"""Decide what masks mean for the views: silhouettes of the object, none, or regions to ignore."""
+"""Decide what the masks of views mean: silhouettes of the object, regions to ignore, or nothing."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from mgsr.errors import SceneError
 
 @dataclass(frozen=True)
 class SettledViews:
-    """The views with settled masks: all training views have a silhouette as alpha, or no view has one.
+    """Views whose masks are settled: either all training views have a silhouette as alpha, or no view has one.
 
-    notes: to the user, on omissions. use: the meaning of masks beside the photographs, None without any. ignoring:
-    whether masks make pixels invalid.
+    notes: messages to the user about omissions. use: the meaning of the masks beside the photographs, None without any.
+    ignoring: whether masks make pixels invalid.
     """
 
     train: list[View]
@@ -37,12 +37,12 @@ class SettledViews:
 def settle_masks(
     train: list[LoadedView], test: list[LoadedView], masks: Masks, options: MaskUseOptions = MaskUseOptions()
 ) -> SettledViews:
-    """Return the views with their masks applied as the setting `masks` says.
+    """Apply the masks of views as the setting `masks` says.
 
-    Masks beside photographs are silhouettes or mark regions to ignore; the setting `masks` decides, or else
-    `find_mask_use`. Ignored pixels are invalid in their view. Silhouettes are used if every training view has one, else
-    none is. Alpha that is 255 in all views is no mask. Views that lose the alpha of their own colours are composited on
-    white. Views with an empty silhouette, or without any valid pixel, are left out.
+    Masks beside photographs are silhouettes, or they mark regions to ignore; the setting or else `find_mask_use`
+    decides. Ignored pixels are invalid in their view. Silhouettes are used only if every training view has one. An
+    alpha channel that is 255 in all views is not a mask. If alpha of a photograph itself is not used, its colours are
+    composited on white. Views with an empty silhouette, or without any valid pixel, are left out.
 
     Raises SceneError for requested masks that are missing, for inverted masks, for masks of unclear meaning, and for
     masks that are empty in most training views.
@@ -67,7 +67,7 @@ def settle_masks(
 
 
 def _use(train: Sequence[LoadedView], masks: Masks, options: MaskUseOptions) -> MaskUse | None:
-    """Return the meaning of the masks beside the photographs; None where there are none, or all are white.
+    """Return the meaning of the masks beside the photographs, or None if there are none or all are white.
 
     Raises SceneError for masks=ignore without any mask.
     """
@@ -91,7 +91,7 @@ def _alpha(view: View) -> np.ndarray:
 
 
 def _settled(item: LoadedView, ignoring: bool) -> View:
-    """Return the view with its silhouette as alpha, and with ignored pixels marked as unknown."""
+    """Return the view with its silhouette as alpha, and with ignored pixels marked as invalid."""
     view, mask = item.view, item.mask
     if item.ignored is not None:
         view = _without(view, item.ignored >= 128)
@@ -103,9 +103,9 @@ def _settled(item: LoadedView, ignoring: bool) -> View:
 
 
 def _without(view: View, ignored: np.ndarray) -> View:
-    """Return the view with the pixels `ignored` [H,W] bool, and their neighbours, marked as unknown.
+    """Return the view with the pixels `ignored` [H,W] bool and their neighbours marked as invalid.
 
-    The neighbours hold some of the ignored pixels' light.
+    The neighbours contain some of the ignored pixels' light.
     """
     if not ignored.any():
         return view
@@ -116,7 +116,7 @@ def _without(view: View, ignored: np.ndarray) -> View:
 def _not_ignored_whole(train: list[LoadedView], ignoring: bool) -> tuple[list[LoadedView], tuple[str, ...]]:
     """Return the views with valid pixels, and a note on the others.
 
-    Raises SceneError where most are ignored.
+    Raises SceneError if most views have none.
     """
     kept = [item for item in train if _shows(_settled(item, ignoring))]
     if len(kept) == len(train):
@@ -141,9 +141,9 @@ def _note_of_ignored(train: Sequence[View]) -> tuple[str, ...]:
 
 
 def _tell_nothing(train: Sequence[View], masks: Masks) -> bool:
-    """Return whether a training view has no silhouette, or every silhouette is white all over.
+    """Return whether a training view has no silhouette, or every silhouette is completely white.
 
-    Raises SceneError where `masks` asks for silhouettes.
+    Raises SceneError if `masks` asks for silhouettes.
     """
     bare = [view.name for view in train if view.alpha is None]
     solid = all(_solid(view) for view in train)
@@ -161,9 +161,9 @@ def _bare(view: View, item: LoadedView) -> View:
 
 
 def _unused_masks(train: Sequence[View], beside: bool) -> tuple[str, ...]:
-    """Return a note on silhouettes that only some views have, or that are all white; empty without such.
+    """Return a note on masks that are not used because only some views have one, or all are white.
 
-    beside: whether any lie beside the photographs, and not in them.
+    beside: whether any mask is a file beside the photographs, not an alpha channel.
     """
     bare = [view.name for view in train if view.alpha is None]
     if bare and len(bare) < len(train):
@@ -175,7 +175,7 @@ def _unused_masks(train: Sequence[View], beside: bool) -> tuple[str, ...]:
 
 
 def _with_an_object(train: list[View]) -> tuple[list[View], tuple[str, ...]]:
-    """Return the views with non-empty masks, and a note on the others. Raises SceneError where most are empty."""
+    """Return the views with non-empty masks, and a note on the others. Raises SceneError if most are empty."""
     shown = [view for view in train if not _empty(view)]
     if len(shown) == len(train):
         return train, ()
@@ -200,7 +200,7 @@ def _brightest(view: View) -> int:
 
 
 def _solid(view: View) -> bool:
-    """Return whether no valid pixel lies off the object, as far as the view says."""
+    """Return whether all valid pixels show the object, as they do in a view without alpha."""
     if view.alpha is None:
         return True
     shown = view.alpha if view.valid_mask is None else view.alpha[view.valid_mask]

@@ -1,4 +1,4 @@
-"""Group photographs taken by one camera with one lens, so that they share its calibration."""
+"""Group photographs taken with the same camera and lens, so that they share a calibration."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import PurePosixPath
 
 from mgsr.data.camera_tags import CameraTags
 
-# How many cameras are named in one line.
+# The most cameras that one line names.
 _MOST_NAMED = 4
 
 
 @dataclass(frozen=True)
 class PhotoFile:
-    """A photograph. name: its path below the folder of photographs; size: width and height as it is stored."""
+    """A photograph. name: its path relative to the folder of photographs. size: width and height as stored."""
 
     name: str
     size: tuple[int, int]
@@ -41,9 +41,9 @@ class SharedLens:
 def share_lenses(shots: Sequence[PhotoFile]) -> list[SharedLens]:
     """Group photographs by camera, in the order in which the cameras first appear.
 
-    Photographs of one size and of equal EXIF (maker, model, lens, body, focal lengths, digital zoom) share a lens. The
-    camera's orientation does not matter, as sizes refer to the stored pixels. Photographs without such EXIF (frames of
-    videos, pictures from messengers) share one where size and folder are equal, as rigs have a folder for each camera.
+    Photographs share a lens if they have the same size and EXIF (maker, model, lens, body, focal lengths, digital
+    zoom). The camera's orientation does not matter, as sizes refer to the stored pixels. Video frames and pictures from
+    messengers have no such EXIF. They share a lens if size and folder are the same, as rigs have one folder per camera.
     """
     groups: dict[tuple[CameraTags, tuple[int, int], str], list[PhotoFile]] = {}
     for shot in shots:
@@ -53,7 +53,7 @@ def share_lenses(shots: Sequence[PhotoFile]) -> list[SharedLens]:
 
 
 def describe_lenses(lenses: Sequence[SharedLens]) -> str:
-    """Return a line for people on how many cameras there are, and which."""
+    """Describe the cameras and their number in one line for the user."""
     if len(lenses) == 1:
         return f"one camera: {_label(lenses[0])}"
     named = [f"{_detailed(lens)} ({_counted(len(lens.shots))})" for lens in lenses[:_MOST_NAMED]]
@@ -67,7 +67,7 @@ def _label(lens: SharedLens) -> str:
 
 
 def _detailed(lens: SharedLens) -> str:
-    """Return the lens's label with what distinguishes cameras of one name: the folder or the focal length."""
+    """Return the lens's label with its folder or focal length, which distinguishes cameras of the same name."""
     folder = PurePosixPath(lens.shots[0].name).parent
     if not lens.tags.known and folder.name:
         return f"{folder}, {_label(lens)}"

@@ -1,4 +1,4 @@
-"""Find photographs that are much less sharp than their neighbours: shaken, out of focus, or taken in motion."""
+"""Find photographs that are much less sharp than their neighbours, because of motion blur or missed focus."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mgsr.data.loading import LoadedView
 from mgsr.data.scene import View
 from mgsr.parallel import map_ahead
 
-_NAMED = 3  # photographs that a note names
+_NAMED = 3  # the most photographs that a note names
 
 
 def without_blurred(
@@ -23,9 +23,9 @@ def without_blurred(
     blurred: Flawed,
     options: SharpnessOptions = SharpnessOptions(),
 ) -> tuple[tuple[list[LoadedView], list[LoadedView]], tuple[str, ...]]:
-    """Return the training and test views, and a note on the views that are much less sharp.
+    """Return the training and test views, and a note on views that are much less sharp than their neighbours.
 
-    Under `Flawed.DROP` the views come without these.
+    `Flawed.DROP` removes these views.
     """
     views = [item.view for item in (*train, *test)]
     less = less_sharp(views, options)
@@ -49,13 +49,13 @@ def less_sharp(views: Sequence[View], options: SharpnessOptions = SharpnessOptio
 def lost_sharpness(views: Sequence[View], options: SharpnessOptions = SharpnessOptions()) -> np.ndarray:
     """Return how much less sharp each view is than its neighbours, [V], in powers of two.
 
-    With fewer than three views, or for thumbnails, it is 0.
+    The result is 0 for fewer than three views, and for thumbnails.
     """
     if len(views) < 3 or min(min(view.image.shape[:2]) for view in views) < options.min_side:
         return np.zeros(len(views))
     sharpness = np.array(list(map_ahead(lambda view: _sharpness(view, options), views, None)))
     neighbours = _neighbours(views, options)
-    # The second sharpest: one neighbour may show another, more detailed part of the scene.
+    # The second sharpest, because a single neighbour may show a more detailed part of the scene.
     best = np.array([np.sort(sharpness[near])[-2] for near in neighbours])
     return np.asarray(best - sharpness)
 
@@ -63,13 +63,13 @@ def lost_sharpness(views: Sequence[View], options: SharpnessOptions = SharpnessO
 def _sharpness(view: View, options: SharpnessOptions) -> float:
     """Return the logarithm to base 2 of a view's sharpness in its least sharp direction.
 
-    Sharpness is the mean squared gradient over that of the smoothed photograph. It does not depend on contrast and
-    depends little on content; motion blurs one direction alone.
+    Sharpness is the mean squared gradient, divided by that of the smoothed photograph. It does not depend on contrast,
+    and only a little on content. The least sharp direction counts because motion blurs only one direction.
     """
     import cv2  # imported here, because training needs no OpenCV
 
     grey: np.ndarray = cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    if view.alpha is not None:  # on white
+    if view.alpha is not None:  # composite on white
         grey = 255 + (grey - 255) * (view.alpha * np.float32(1 / 255))
     shrink = options.side / max(grey.shape)
     if shrink < 1:
@@ -81,7 +81,7 @@ def _sharpness(view: View, options: SharpnessOptions) -> float:
 def _gradients(grey: np.ndarray) -> np.ndarray:
     """Return the mean outer product [2,2] of the gradients of an image [H,W].
 
-    The variance of faint noise is added, so that the matrix can be inverted.
+    A small multiple of the identity is added, so that the matrix can be inverted.
     """
     down, right = np.gradient(grey)
     cross = (right * down).mean()
@@ -89,7 +89,7 @@ def _gradients(grey: np.ndarray) -> np.ndarray:
 
 
 def _neighbours(views: Sequence[View], options: SharpnessOptions) -> list[np.ndarray]:
-    """Return, for each view, the indices [K] int64 of the views that show about the same."""
+    """Return, for each view, the indices [K] int64 of the views that show nearly the same part of the scene."""
     centers = np.array([view.camera.center for view in views])
     axes = np.array([view.camera.cam_from_world[2, :3] for view in views])
     spread = np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean() or 1.0

@@ -1,4 +1,4 @@
-"""Masks as signed distances to their outlines, precise to a fraction of a pixel."""
+"""Convert masks to signed distances to their contours, precise to a fraction of a pixel."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from mgsr.data.scene import View
 from mgsr.data.valid_mask import valid_mean
 from mgsr.parallel import map_ahead
 
-# A mask that stays this share of the image's larger side away from the border shows its object whole. Masks of objects
-# that the image cuts off may end a few pixels before it.
+# A mask shows its object completely if it keeps this share of the image's larger side away from the border. A smaller
+# margin proves nothing: if the image cuts off the object, its mask may end a few pixels before the border.
 FREE_BORDER = 0.02
 
 
 @dataclass(frozen=True)
 class Silhouette:
-    """A mask as signed distances [h,w] float32 in pixels to its outline, positive inside, with its camera.
+    """A mask as signed distances [h,w] float32 in pixels to its contour, positive inside, with its camera.
 
-    valid_mask [h,w] bool: the pixels that separate the object from its surroundings; None if all do.
+    valid_mask [h,w] bool: the pixels where the mask is known; None means all.
     """
 
     camera: Camera
@@ -33,7 +33,7 @@ class Silhouette:
 
     @cached_property
     def whole(self) -> bool:
-        """Return whether the mask keeps clear of the valid region's border, so that the object lies wholly inside."""
+        """Return whether the mask keeps away from the border of the valid region, so that the object is complete."""
         inside = self.distance > 0
         shown = np.pad(np.ones_like(inside) if self.valid_mask is None else self.valid_mask, 1)
         to_border = ndimage.distance_transform_edt(shown)[1:-1, 1:-1]
@@ -41,17 +41,18 @@ class Silhouette:
 
 
 def view_silhouettes(views: Sequence[View], max_side: int) -> list[Silhouette]:
-    """Return the masks of the views that have one, reduced to images of at most `max_side`."""
+    """Return the silhouettes of all views with a mask, reduced to at most `max_side` pixels a side."""
     masked = [(view, view.alpha) for view in views if view.alpha is not None]
     return list(map_ahead(lambda item: _silhouette(*item, max_side), masked, None))
 
 
 def signed_distance(alpha: np.ndarray, valid: np.ndarray | None = None) -> np.ndarray:
-    """Return the signed distance [h,w] float32, pixels, to a mask's outline at alpha 0.5, positive inside.
+    """Return the signed distance [h,w] float32 in pixels to a mask's contour at alpha 0.5, positive inside.
 
-    alpha: [h,w] 0..1. On the outline's own pixels alpha, the share of the pixel that is covered, gives the fraction.
-    valid: [h,w] bool or None. No outline lies where valid pixels end, as none lies at an image's border; invalid pixels
-    continue the nearest valid one.
+    alpha [h,w]: 0..1, the covered share of each pixel. On the contour's own pixels it gives the distance to a fraction
+    of a pixel.
+    valid [h,w] bool: the pixels where the mask is known, None for all. The border of the valid region is no contour,
+    just as the image's border is none. Invalid pixels take the side of the nearest valid pixel.
     """
     inside = alpha >= 0.5
     valid_in, valid_out = (inside, ~inside) if valid is None else (inside & valid, ~inside & valid)

@@ -1,4 +1,4 @@
-"""A view's colours and alpha as one array, so that both are resampled alike."""
+"""Join the colours and the alpha of a view in one array, so that both are resampled alike."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from mgsr.data.valid_mask import valid_mean
 
 
 def stack(view: View, premultiply: bool) -> np.ndarray:
-    """Return colours and alpha, if any, as one array [H,W,3 or 4] in 0..255.
+    """Return the colours and the alpha, if any, as one array [H,W,3 or 4] in 0..255.
 
-    premultiply: weight the colours by alpha, as float32; colours have no meaning where alpha is zero. Otherwise, and
-    without alpha, the array is uint8 and unchanged.
+    premultiply: whether to multiply the colours by alpha, in float32, because colours have no meaning where alpha is
+    zero. Without it, and without alpha, the array is uint8 and the colours are unchanged.
     """
     if view.alpha is None:
         return view.image
@@ -29,7 +29,7 @@ def stack(view: View, premultiply: bool) -> np.ndarray:
 
 
 def unstack(name: str, camera: Camera, pixels: np.ndarray, premultiplied: bool) -> View:
-    """Return the uint8 view of a resampled array from `stack`, [h,w,3 or 4] in 0..255."""
+    """Return a uint8 view from a resampled array of `stack`, `pixels` [h,w,3 or 4] in 0..255."""
     colors = pixels[..., :3]
     if pixels.shape[2] == 3:
         return View(name, camera, _bytes(colors))
@@ -40,9 +40,9 @@ def unstack(name: str, camera: Camera, pixels: np.ndarray, premultiplied: bool) 
 
 
 def averaged(view: View, camera: Camera, mean: Callable[[np.ndarray], np.ndarray]) -> View:
-    """Return the view as a smaller `camera` has it, by area means.
+    """Reduce a view to a smaller `camera` by area means.
 
-    mean: maps [H,W,C] to [h,w,C] float. Colours are weighted by alpha, and invalid pixels do not count.
+    mean: reduces [H,W,C] to [h,w,C] float. Colours are weighted by alpha, and invalid pixels do not count.
     """
     pixels, valid = valid_mean(stack(view, premultiply=True), view.valid_mask, mean)
     irradiance = None if view.irradiance is None else _bytes(mean(view.irradiance[..., None])[..., 0])
@@ -50,5 +50,5 @@ def averaged(view: View, camera: Camera, mean: Callable[[np.ndarray], np.ndarray
 
 
 def _bytes(pixels: np.ndarray) -> np.ndarray:
-    """Return pixels [H,W,C] as uint8, without a copy where they already are."""
+    """Return pixels [H,W,C] as uint8, without a conversion if they are already."""
     return np.ascontiguousarray(pixels) if pixels.dtype == np.uint8 else to_uint8(pixels)

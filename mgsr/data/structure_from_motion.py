@@ -1,8 +1,8 @@
-"""Structure from motion with COLMAP (pycolmap): the cameras of photographs, from the photographs alone.
+"""Structure from motion with COLMAP (pycolmap), which finds cameras from the photographs alone.
 
-A COLMAP database holds the features of photographs and the matches of pairs. Both are computed in small portions, so
-that the search can report, stop and keep its state between two of them; what the database holds already is not computed
-again.
+A COLMAP database holds the features of photographs and the matches of pairs. Both are computed in small portions.
+Between two portions, the search can report progress, stop and save its state. COLMAP does not compute again what the
+database already holds.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ _LEAST_REGISTERED = 0.25
 # COLMAP's default, with one parameter of distortion.
 _LENS_MODEL = "SIMPLE_RADIAL"
 
-# A thread holds up to 1 GB for a photograph.
+# A thread needs up to 1 GB for a photograph.
 _MOST_THREADS = 8
-# Photographs a thread and pairs of photographs between two reports.
+# Between two reports: the photographs per thread, and the pairs of photographs.
 _PHOTOS_AT_ONCE = 2
 _PAIRS_AT_ONCE = 100
 
-# COLMAP gives up the placing of photographs after so many seconds, and so many more for each photograph.
+# COLMAP's time limit for mapping, in seconds: a constant, and a share for each photograph.
 _MAPPING_SECONDS = 600
 _MAPPING_SECONDS_EACH = 30
 
-# Shares of the search that features and then matches have taken when they are complete.
+# The progress of the search when all features, and then all matches, are complete.
 _FEATURES, _MATCHES = 0.35, 0.75
 
 
@@ -48,7 +48,7 @@ _FEATURES, _MATCHES = 0.35, 0.75
 class SearchFolder:
     """The files of a search.
 
-    images: the folder of the photographs, in forms that COLMAP reads. database: COLMAP's, which may be there already.
+    images: the folder of the photographs, in formats that COLMAP reads. database: COLMAP's database, which may exist.
     keep: called between two portions of work, when the database may be copied.
     """
 
@@ -58,17 +58,17 @@ class SearchFolder:
 
 
 def require_pycolmap() -> None:
-    """Raise ConfigError where pycolmap is not installed, before any work."""
+    """Raise ConfigError if pycolmap is not installed, so that a run fails before any work."""
     if importlib.util.find_spec("pycolmap") is None:
         raise ConfigError("finding cameras requires pycolmap; install it with `pip install 'mgsr[poses]'`")
 
 
 def load_pycolmap() -> Any:
-    """Import pycolmap, with its logging and signal handlers set as MGSR needs them.
+    """Import pycolmap, and set its logging and signal handlers as MGSR needs them.
 
-    pycolmap bundles its own OpenImageIO, and the copy that is loaded second uses parts of the first. The process
-    crashes where our copy is the second and refuses a file, and where pycolmap's copy gets a file that it refuses.
-    Raises ConfigError where pycolmap can't be loaded.
+    pycolmap bundles its own OpenImageIO, and the copy that is loaded second uses parts of the first. If ours is the
+    second, the process crashes as soon as it refuses a file, so it is loaded first. pycolmap's copy must never get a
+    file that it would refuse. Raises ConfigError if pycolmap can't be loaded.
     """
     importlib.import_module("OpenImageIO")
     try:
@@ -78,9 +78,9 @@ def load_pycolmap() -> Any:
             f"pycolmap can't be loaded: {in_short(error)}; install it again with `pip install 'mgsr[poses]'`"
         ) from error
     pycolmap.logging.minloglevel = 2  # its errors arrive as exceptions, and its messages are not for our users
-    pycolmap.logging.logtostderr = True  # else it leaves files in the folder for temporary ones
+    pycolmap.logging.logtostderr = True  # otherwise it leaves log files in the temporary folder
     if threading.current_thread() is threading.main_thread():
-        # It took SIGTERM for itself, and would end without any cleanup.
+        # pycolmap installs its own handler of SIGTERM, which would end the process without any cleanup.
         signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))
     return pycolmap
 
@@ -94,8 +94,8 @@ def find_model(
 ) -> tuple[Any, tuple[str, ...]]:
     """Return COLMAP's largest model of the photographs, a pycolmap.Reconstruction, and notes on it.
 
-    frames: whether they are frames of a video. Raises SceneError where too few photographs could be placed, and
-    Cancelled where `search.tell` does.
+    frames: whether the photographs are frames of a video. Raises SceneError if too few photographs could be placed, and
+    passes on Cancelled from `search.tell`.
     """
     colmap = load_pycolmap()
     model = max(
@@ -129,7 +129,7 @@ def _models(
     search: CameraSearch,
     options: CameraSearchOptions,
 ) -> Sequence[Any]:
-    """Run COLMAP's feature extraction, matching and incremental mapping; return its models."""
+    """Run COLMAP's feature extraction, matching and incremental mapping, and return its models."""
     colmap.set_random_seed(search.seed)
     names = sorted(shot.name for lens in lenses for shot in lens.shots)
     if not folder.database.exists():
@@ -175,7 +175,7 @@ def _match(colmap: Any, folder: SearchFolder, pairs: Sequence[tuple[str, str]], 
 
 
 def _place(colmap: Any, folder: SearchFolder, count: int, search: CameraSearch, max_models: int) -> Sequence[Any]:
-    """Place the photographs one after the other, from their matches; return at most `max_models` models."""
+    """Run incremental mapping on the matches, and return at most `max_models` models."""
     options = colmap.IncrementalPipelineOptions(
         random_seed=search.seed,
         min_model_size=min(10, count),
@@ -207,7 +207,7 @@ def write_cameras(
     lenses: Sequence[SharedLens],
     options: CameraSearchOptions = CameraSearchOptions(),
 ) -> None:
-    """Write a camera for each lens, and its photographs, into a new COLMAP database.
+    """Create a COLMAP database with one camera per lens, and its photographs.
 
     COLMAP's own modes of camera sharing support neither several lenses in a folder nor EXIF in another file.
     """
@@ -229,10 +229,10 @@ def write_cameras(
 
 
 def _camera(colmap: Any, folder: Path, lens: SharedLens, focal_guess: float) -> Any:
-    """Return a COLMAP camera with the focal length that EXIF gives.
+    """Return a COLMAP camera with the focal length from EXIF.
 
-    The 35 mm equivalent comes first; else the real focal length with the sensor's size, which COLMAP knows for many
-    cameras; else `focal_guess` times the image's longer side.
+    The 35 mm equivalent comes first, then the real focal length with the sensor's size, which COLMAP knows for many
+    cameras. Without EXIF, the focal length is `focal_guess` times the image's longer side.
     """
     focal = lens.tags.focal_pixels(lens.size)
     if focal is None and lens.tags.focal is not None:
@@ -245,9 +245,9 @@ def _camera(colmap: Any, folder: Path, lens: SharedLens, focal_guess: float) -> 
 
 
 class _Counter:
-    """Counts and reports the photographs that COLMAP has placed, and stops it where the search is cancelled.
+    """Callbacks that count and report the photographs that COLMAP has placed, and stop it if the search is cancelled.
 
-    stopped: the error with which the search was cancelled; an error can't pass through COLMAP itself.
+    stopped: the error of the cancelled search, kept here because an exception can't pass through COLMAP.
     """
 
     def __init__(self, total: int, search: CameraSearch, token: Any) -> None:
@@ -261,7 +261,7 @@ class _Counter:
     def next(self) -> None:
         self._placed += 1
         try:
-            # A later, smaller model begins anew.
+            # If COLMAP begins another model, it counts photographs again, hence the limit.
             self._search.tell(_MATCHES + (1 - _MATCHES) * min(self._placed / self._total, 1.0))
         except Cancelled as stop:
             self.stopped = stop

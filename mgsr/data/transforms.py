@@ -1,4 +1,7 @@
-"""The frames of transforms*.json, which Blender, instant-ngp and nerfstudio write: camera-to-world, OpenGL axes."""
+"""Read the frames of transforms*.json, which Blender, instant-ngp and nerfstudio write.
+
+Poses map the camera to the world, with OpenGL's axes.
+"""
 
 from __future__ import annotations
 
@@ -25,19 +28,19 @@ _FOCAL_LENGTHS = ("fl_x", "fl_y", *_ANGLES)
 
 
 def read_content(path: Path) -> dict[str, Any]:
-    """Read the whole file. Raises SceneError where it has no list of frames."""
+    """Read a file. Raises SceneError if it has no list of frames."""
     content = read_json(path)
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list):
         raise SceneError(f"{path.name}: expected an object with a list 'frames'; export it again")
-    # An invalid entry names no photograph, and is skipped alone.
+    # An empty frame names no photograph, so only the invalid entry is skipped, not the file.
     return {**content, "frames": [frame if isinstance(frame, dict) else {} for frame in frames]}
 
 
 def merged_frames(content: dict[str, Any], name: str) -> list[tuple[str, dict[str, Any]]]:
-    """Return each frame's place in the file, for messages, and its values merged over the file's own.
+    """Return each frame's place in the file, for messages, and its values merged with the shared ones.
 
-    A frame's own angle of view also overrules the file's focal lengths.
+    A frame's values override the file's. A frame's angle of view also overrides the file's focal lengths.
     """
     shared = {key: value for key, value in content.items() if key != "frames"}
     without = {key: value for key, value in shared.items() if key not in _FOCAL_LENGTHS}
@@ -50,7 +53,7 @@ def _has_angle(frame: dict[str, Any]) -> bool:
 
 
 def refuse_doubles(photos: Sequence[Photo]) -> None:
-    """Raise SceneError where two frames have the same photograph, which would count twice, or for train and test."""
+    """Raise SceneError if two frames share a photograph, which would count twice, or both for training and test."""
     first: dict[Path, Photo] = {}
     for photo in photos:
         other = first.setdefault(photo.image, photo)
@@ -62,7 +65,7 @@ def refuse_doubles(photos: Sequence[Photo]) -> None:
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame. source: its place in the file, for messages; values: its values after the file's own."""
+    """A frame. source: its place in the file, for messages. values: its values, merged with the shared ones."""
 
     source: str
     values: dict[str, Any]
@@ -70,7 +73,7 @@ class Frame:
 
 
 def read_frames(folder: SceneFolder, file: str, frames: Sequence[Frame]) -> Capture:
-    """Read the photographs of frames; their paths are relative to the scene's root."""
+    """Read the photographs of frames, whose paths are relative to the scene's root."""
     found = folder.find_photos(file, [frame.values.get("file_path") for frame in frames])
     return Capture.of(found, lambda i, path: _read_frame(folder, path, frames[i]))
 
@@ -102,7 +105,8 @@ def _mask(folder: SceneFolder, frame: dict[str, Any], source: str) -> Path | Non
 def _size(frame: dict[str, Any], image: Path, source: str) -> tuple[int, int]:
     """Return the size (width, height) of the calibrated image.
 
-    Without w and h it is the photograph's, times the reduction of its folder where the file names another folder.
+    Without w and h it is the photograph's size. If the photograph comes from a folder of reduced copies that the file
+    does not name, its size is multiplied by the reduction.
     """
     if "w" in frame and "h" in frame:
         return int(number(frame, "w", source)), int(number(frame, "h", source))
@@ -113,9 +117,9 @@ def _size(frame: dict[str, Any], image: Path, source: str) -> tuple[int, int]:
 
 
 def _intrinsics(frame: dict[str, Any], size: tuple[int, int], source: str) -> np.ndarray:
-    """Return K [3,3] from focal lengths in pixels, or else from the angle of view.
+    """Return K [3,3] in pixels from focal lengths, or else from angles of view.
 
-    An axis without either takes the other's focal length. Raises SceneError where neither axis has one.
+    An axis without either takes the focal length of the other axis. Raises SceneError if neither has one.
     """
     fx = _focal(frame, "fl_x", "camera_angle_x", size[0], source)
     fy = _focal(frame, "fl_y", "camera_angle_y", size[1], source)
@@ -138,10 +142,10 @@ def _focal(frame: dict[str, Any], pixels: str, angle: str, side: int, source: st
 
 
 def _lens(frame: dict[str, Any], source: str) -> Lens | None:
-    """Return the frame's lens, or None if it changes nothing.
+    """Return the frame's lens, or None if it has no distortion.
 
-    OpenCV's fisheye has four radial terms; for other lenses nerfstudio takes k3 and k4 as factors of r^6 and r^8.
-    Raises SceneError for camera models and terms that are not supported.
+    OpenCV's fisheye model has four radial terms. For other lenses, nerfstudio defines k3 and k4 as the factors of r^6
+    and r^8. Raises SceneError for unsupported camera models and terms.
     """
     model = str(frame.get("camera_model", "OPENCV")).upper()
     if model.lower() in PANORAMAS or frame.get("is_latlong"):

@@ -1,4 +1,4 @@
-"""Undistortion: photographs are resampled to the images of pinhole cameras."""
+"""Undistortion: resample photographs to the images of pinhole cameras."""
 
 from __future__ import annotations
 
@@ -17,20 +17,22 @@ from mgsr.data.pixels import PixelStore
 from mgsr.data.valid_mask import largest_rectangle
 from mgsr.errors import SceneError
 
-# The number of cached undistortions. Maps of a 2-megapixel camera take 16 MB, and each photograph may have a camera.
+# The number of cached undistortions. It is limited because the maps of 2 megapixels take 16 MB, and each photograph may
+# have a camera of its own.
 _KEPT = 8
 
-# Rows per block, so that the working set stays in the CPU's cache: maps take an eighth of the time of whole images.
+# Rows per block. The working set stays in the CPU's cache, so maps take an eighth of the time of whole images.
 _BAND = 32
 
 
 @dataclass(frozen=True)
 class Undistortion:
-    """How to resample one photograph.
+    """The maps that resample a photograph.
 
-    map_x, map_y [h,w] float32: each pixel's place in the photograph, counted from the middle of the first pixel as
-    OpenCV does. K: the pinhole's, counted from the corner as everywhere in MGSR. valid_mask [h,w] bool: the pixels that
-    the photograph shows; None for all. The maps are undefined at other pixels.
+    map_x, map_y [h,w] float32: the place of each pixel in the photograph, with pixel centres at 0 as in OpenCV.
+    Undefined at invalid pixels.
+    K [3,3]: the intrinsics of the pinhole camera, with pixel centres at +0.5 as everywhere in MGSR.
+    valid_mask [h,w] bool: the pixels that the photograph covers; None means all.
     """
 
     map_x: np.ndarray
@@ -41,7 +43,7 @@ class Undistortion:
 
 @dataclass(frozen=True)
 class _DistortedImage:
-    """A photograph's lens, K and size."""
+    """The lens, K [3,3] and size in pixels of a photograph."""
 
     lens: AnyLens
     K: np.ndarray
@@ -53,7 +55,7 @@ class _DistortedImage:
 class _ImagePlane:
     """The part of the image plane that an image shows.
 
-    Its pixels begin at (left, top), in the photograph's pixels, and are `step` of them apart.
+    left, top: its upper left corner, in pixels of the photograph. step: the size of its pixels, in the same unit.
     """
 
     left: float
@@ -71,11 +73,14 @@ def undistortion(
     source: str,
     options: UndistortionOptions = UndistortionOptions(),
 ) -> Undistortion:
-    """Compute a pinhole image with the photograph's focal lengths and its field of view up to `options.half_angle`.
+    """Compute the maps of a pinhole image with the focal lengths of the photograph.
 
-    Where a rectangle holds nearly all of that field, the image is the rectangle, as training then needs no mask. A
-    pixel is valid exactly where the lens projects its ray into the photograph, before its polynomial folds back. K
-    [3,3] is in pixels. Raises SceneError naming `source` if nothing is left.
+    K [3,3]: the photograph's intrinsics in pixels.
+
+    The image shows the photograph's field of view up to `options.half_angle`. If a rectangle holds nearly all of it,
+    the image is that rectangle, as training then needs no mask. A pixel is valid if the lens projects its ray into the
+    photograph, at an angle at which the lens's polynomial has not folded back. Raises SceneError naming `source` if no
+    pixel is left.
     """
     photograph = _DistortedImage(lens, K, width, height)
     widest = math.tan(math.radians(options.half_angle))
@@ -99,9 +104,9 @@ def undistortion(
 
 
 class Undistorter:
-    """Undistortions, each made once for all photographs of a camera. A store holds their valid masks.
+    """A thread-safe cache of undistortions, each computed once for all photographs of a camera.
 
-    Many threads may use it at once.
+    pixels: the store that holds the valid masks.
     """
 
     def __init__(self, pixels: PixelStore, options: UndistortionOptions = UndistortionOptions()) -> None:
@@ -125,16 +130,16 @@ class Undistorter:
         return result.result()
 
     def _held(self, how: Undistortion) -> Undistortion:
-        """Return the undistortion with `valid_mask` held by the store, as views keep it longer than the maps."""
+        """Move `valid_mask` to the store, because views keep it longer than the maps."""
         if how.valid_mask is None:
             return how
         return replace(how, valid_mask=self._pixels.hold(how.valid_mask.view(np.uint8)).view(bool))
 
 
 def resample(image: np.ndarray, how: Undistortion) -> np.ndarray:
-    """Return the undistorted image [h,w,C] of a photograph [H,W,C], by bicubic interpolation.
+    """Return the undistorted image [h,w,C] of a photograph `image` [H,W,C], by bicubic interpolation.
 
-    Both are float32, or uint8, where results are rounded.
+    Both are float32 or both uint8; in uint8, values are rounded.
     """
     import cv2  # imported here, because training needs no OpenCV
 
@@ -153,7 +158,7 @@ def _bands(height: int) -> Iterator[slice]:
 
 
 def _frame(photograph: _DistortedImage, widest: float, options: UndistortionOptions) -> _ImagePlane:
-    """Return the part of the image plane that the photograph shows, in whole pixels, found on a coarse sketch.
+    """Return the part of the image plane that the photograph shows, in whole pixels, found on a coarse grid.
 
     widest: the tangent of the largest angle from the optical axis.
     """
@@ -177,16 +182,16 @@ def _frame(photograph: _DistortedImage, widest: float, options: UndistortionOpti
 
 
 def _mapped(photograph: _DistortedImage, frame: _ImagePlane, widest: float, rows: slice) -> tuple[np.ndarray, ...]:
-    """Return map_x and map_y [rows,width] of an `Undistortion`, and which of these pixels the photograph shows.
+    """Return map_x and map_y [rows,width] of an `Undistortion`, and the valid pixels [rows,width] bool.
 
     widest: the tangent of the largest angle from the optical axis.
     """
     K, width, height = photograph.K, photograph.width, photograph.height
     (fx, fy), (cx, cy) = K.diagonal()[:2].tolist(), K[:2, 2].tolist()
-    # With a border of one pixel, to see folds. float32 places a pixel to a thousandth.
+    # The border of one pixel is for `_unfolded`. float32 is precise to a thousandth of a pixel.
     x = ((frame.left - cx + (np.arange(-1, frame.width + 1) + 0.5) * frame.step) / fx).astype(np.float32)
     y = ((frame.top - cy + (np.arange(rows.start - 1, rows.stop + 1) + 0.5) * frame.step) / fy).astype(np.float32)
-    with np.errstate(all="ignore"):  # a senseless lens leaves no valid pixels, and so is refused
+    with np.errstate(all="ignore"):  # invalid lens parameters leave no valid pixels, which is refused later
         bent_x, bent_y = photograph.lens.distort(x[None, :], y[:, None])
         map_x, map_y = bent_x * fx + (cx - 0.5), bent_y * fy + (cy - 0.5)
         inside = (map_x >= -0.5) & (map_x <= width - 0.5) & (map_y >= -0.5) & (map_y <= height - 0.5)
@@ -197,7 +202,7 @@ def _mapped(photograph: _DistortedImage, frame: _ImagePlane, widest: float, rows
 
 
 def _unfolded(map_x: np.ndarray, map_y: np.ndarray) -> np.ndarray:
-    """Return where the mapping [H,W] keeps its orientation, [H-2,W-2] bool without the border."""
+    """Return where the mapping [H,W] keeps its orientation, [H-2,W-2] bool, without the border."""
     turn = (map_x[1:-1, 2:] - map_x[1:-1, :-2]) * (map_y[2:, 1:-1] - map_y[:-2, 1:-1])
     shear = (map_x[2:, 1:-1] - map_x[:-2, 1:-1]) * (map_y[1:-1, 2:] - map_y[1:-1, :-2])
     kept: np.ndarray = turn > shear
@@ -205,10 +210,10 @@ def _unfolded(map_x: np.ndarray, map_y: np.ndarray) -> np.ndarray:
 
 
 def _around(place: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """Return the connected part of `shown` [H,W] bool that contains a place [2], pixels.
+    """Return the connected part of `shown` [H,W] bool that contains a place [2] in pixels.
 
-    Far from the centre polynomials fold back over themselves. Farther out they may fold again, and show the photograph
-    a second time with the right orientation.
+    Far from the centre, a lens's polynomial folds back. Farther out it may fold again and show the photograph a second
+    time with the right orientation; the result excludes such parts.
     """
     import cv2  # imported here, because training needs no OpenCV
 

@@ -1,6 +1,6 @@
-"""Detect cameras of programs that MGSR does not read by their files' names, and say how to convert them.
+"""Detect cameras in formats that MGSR does not read, by file names, and tell how to convert them.
 
-A new program is one more row of the table.
+To add a program, add a row to the table.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from fnmatch import translate
 from functools import cached_property
 from pathlib import Path
 
-# The most names that are examined, and the most bytes of a file.
+# The most file names that are examined, and the most bytes of a file.
 _MOST_NAMES = 20_000
 _HEAD = 1 << 20
 
@@ -25,11 +25,11 @@ _EXPORT_NERFSTUDIO = "convert it with `ns-process-data {} --data CAPTURE --outpu
 
 @dataclass(frozen=True)
 class _Unread:
-    """One program that MGSR does not read.
+    """A program whose cameras MGSR does not read.
 
-    files: patterns of the files that it writes, relative to the capture's folder, which must all be there; the first is
-    named in the message. contains: text in the first kilobytes of the first file, where its name alone is ambiguous.
-    cure: what to do.
+    files: patterns of the program's files, relative to the capture's folder. All must exist; the message names the
+    first. contains: text that the beginning of the first file must contain, if its name is ambiguous. cure: the
+    remedy.
     """
 
     program: str
@@ -39,12 +39,12 @@ class _Unread:
 
     @cached_property
     def patterns(self) -> list[re.Pattern[str]]:
-        """Return the compiled patterns, in which a * stays within a name."""
+        """Return the compiled patterns, in which * does not match a slash."""
         texts = (translate(pattern.lower()).replace(".*", "[^/]*") for pattern in self.files)
         return [re.compile(text) for text in texts]
 
     def found_in(self, folder: Path, names: list[str]) -> str | None:
-        """Return the name of the first file, if all are among the lower-case names of a folder; else None."""
+        """Return the name of the first file if all files are among the `names` of a folder, else None."""
         first, *others = ([name for name in names if pattern.match(name.lower())] for pattern in self.patterns)
         if not first or not all(others):
             return None
@@ -138,10 +138,9 @@ _TABLE = (
 
 
 def unread_cameras(root: Path) -> str | None:
-    """Return which program's cameras lie in a folder or its subfolders, and how to convert them.
+    """Return a message on cameras of other programs in a folder or its subfolders, or None if there are none.
 
-    The text is the end of a sentence: "has cameras of PROGRAM (FILE), which MGSR does not read; CURE". None where no
-    such file is there.
+    It reads "the cameras are of PROGRAM (FILE), which MGSR does not read; CURE".
     """
     for folder in [root, *_folders(root)]:
         names = _names(folder)

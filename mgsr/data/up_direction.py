@@ -1,4 +1,4 @@
-"""The direction that points up in a capture, from the way in which its photographs were held."""
+"""Find the direction that points up in a capture, from the orientation of its cameras."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from mgsr.data.camera import Camera
 
 
 def up_direction(cameras: Sequence[Camera], options: UpOptions = UpOptions()) -> np.ndarray:
-    """Return the direction [3] that points up in the cameras' frame, of length 1.
+    """Return the unit direction [3] that points up in the frame of the cameras' poses.
 
-    It starts from the mean of the cameras' up vectors. It snaps to an axis within `options.near_axis` degrees, or to
-    the nearest axis if the cameras are level under it. Otherwise it is the direction under which the cameras are most
-    nearly level, if their directions vary enough. The mean itself tilts where more cameras look down from one side than
-    from the others.
+    The first estimate is the mean of the cameras' up vectors. If an axis is within `options.near_axis` degrees, or the
+    cameras are level with respect to the nearest axis, the result is that axis. Otherwise it is the direction with
+    respect to which the cameras are most nearly level, if they face enough different sides. The mean alone would be
+    tilted if more cameras look down from one side than from the others.
     """
     rows = np.array([camera.cam_from_world[:2, :3] for camera in cameras])
     rights = rows[:, 0]
@@ -36,20 +36,20 @@ def up_direction(cameras: Sequence[Camera], options: UpOptions = UpOptions()) ->
 
 
 def _side_up(rights: np.ndarray, lying: float) -> np.ndarray:
-    """Return the up axis [3] of cameras without a common up vector; rights [C,3]: their right vectors.
+    """Return the up axis [3] of cameras without a common up vector, given their right vectors [C,3].
 
-    It is the axis to their right if all lie on their side, as beside a turntable; else z.
+    If all cameras lie on their side, as beside a turntable, it is the axis to their right; else it is z.
     """
     mean = rights.mean(axis=0)
     return _nearest_axis(mean) if np.linalg.norm(mean) > lying else np.array((0.0, 0.0, 1.0))
 
 
 def _nearest_axis(direction: np.ndarray) -> np.ndarray:
-    """Return the signed axis [3] that is nearest to a direction [3]."""
+    """Return the signed axis [3] nearest to a direction [3]."""
     axis = int(np.abs(direction).argmax())
     return np.asarray(np.sign(direction[axis]) * np.eye(3)[axis])
 
 
 def _near(direction: np.ndarray, axis: np.ndarray, degrees: float) -> bool:
-    """Return whether a direction [3] is within so many degrees of an axis [3], both unit."""
+    """Return whether a direction [3] is within `degrees` of an axis [3]; both are unit vectors."""
     return bool(direction @ axis > np.cos(np.radians(degrees)))

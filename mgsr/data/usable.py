@@ -14,8 +14,7 @@ from mgsr.errors import MissingPhotoError, SceneError, in_short
 def usable_photos(capture: Capture, folder: SceneFolder) -> tuple[list[Photo], tuple[str, ...]]:
     """Return the photographs with checked intrinsics and rigid poses, and notes on omissions and changes.
 
-    Raises SceneError where fewer than the capture's `least_kept` of its photographs are left, with the reason of the
-    first one.
+    Raises SceneError with the first reason if the share of usable photographs is less than `capture.least_kept`.
     """
     if not capture.photos and not capture.lost:
         raise SceneError(f"{folder.root.name}: the scene has no views")

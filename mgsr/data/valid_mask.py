@@ -1,7 +1,7 @@
-"""Valid masks: undistorting a strong lens leaves corners or sides that no pixel of the photograph covers.
+"""Valid masks [H,W] bool, which mark the pixels with defined values; None means all.
 
-A valid mask [H,W] bool marks the pixels that the photograph covers; None means all. Other pixels are undefined, and
-every user of a view ignores them.
+Undistorting a strong lens leaves corners or sides that the photograph does not cover. Masks may mark further regions to
+ignore. All users of a view ignore its invalid pixels.
 """
 
 from __future__ import annotations
@@ -21,11 +21,10 @@ NEARLY_ALL = 0.99
 def valid_mean(
     pixels: np.ndarray, valid: np.ndarray | None, mean: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the area mean of the valid pixels, and which of the resulting pixels are valid.
+    """Return the area mean [h,w,C] of the valid pixels, and the valid mask [h,w] of the result, None if all are valid.
 
-    pixels: [H,W,C]. valid [H,W] bool: None for all. mean: maps [H,W,C] to [h,w,C] float. The result is 0 where no valid
-    pixel contributes. A resulting pixel is valid if nearly all pixels that it covers are valid; the second result is
-    None if all are.
+    pixels [H,W,C]: the image. valid [H,W] bool: None for all. mean: reduces [H,W,C] to [h,w,C] float. The mean is 0
+    where no valid pixel contributes. A pixel of the result is valid if nearly all pixels that it covers are valid.
     """
     if valid is None:
         return mean(pixels), None
@@ -36,11 +35,11 @@ def valid_mean(
 
 
 def filled(pixels: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
-    """Set each invalid pixel of an image to the value of the nearest valid one; all 0 if nothing is valid.
+    """Set each invalid pixel of an image to the value of the nearest valid pixel, or to 0 if no pixel is valid.
 
-    pixels [H,W,...]: the image. valid [H,W] bool: True where it is valid.
+    pixels [H,W,...]: the image. valid [H,W] bool: the valid mask, None for all.
 
-    Windows and interpolation that cross the edge of the valid region then behave as at an image's border.
+    Windows and interpolation that cross the edge of the valid region then behave as at the border of an image.
     """
     if valid is None:
         return pixels
@@ -51,18 +50,18 @@ def filled(pixels: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
 
 
 def valid_at(valid: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Return which pixel coordinates [P,2], all inside the image, lie on valid pixels, [P] bool."""
+    """Return which of the points `pixels` [P,2], x and y inside the image, lie on pixels of `valid` [H,W]: [P] bool."""
     columns, rows = pixels.astype(np.intp).T
     return np.asarray(valid[rows, columns])
 
 
 def valid_inside(valid: np.ndarray, reach: int) -> np.ndarray:
-    """Return the pixels [H,W] bool that have only valid pixels of the image within `reach`, diagonals included."""
+    """Return the pixels [H,W] bool whose neighbourhood, `reach` pixels to each side, lies in the image and is valid."""
     return np.asarray(ndimage.minimum_filter(valid, 2 * reach + 1, mode="constant", cval=False))
 
 
 def whole_part(view: View) -> View:
-    """Return the view cut to a large rectangle of valid pixels; the view itself if it shows all."""
+    """Crop a view to a large rectangle of valid pixels. A view without a valid mask is returned as it is."""
     if view.valid_mask is None:
         return view
     rows, columns = largest_rectangle(view.valid_mask)
@@ -77,8 +76,8 @@ def whole_part(view: View) -> View:
 def largest_rectangle(valid: np.ndarray) -> tuple[slice, slice]:
     """Return the rows and columns of a large rectangle of valid pixels [H,W] bool.
 
-    Each step cuts the side with the most invalid pixels. Where all borders are valid but the inside is not, it cuts all
-    sides. The result is one pixel wide or high, valid or not, where no such rectangle exists.
+    Each step cuts the side with the largest share of invalid pixels. If all sides are valid but the inside is not, it
+    cuts all sides. If no such rectangle exists, the result is one pixel wide or high, and may be invalid.
     """
     top, bottom, left, right = 0, valid.shape[0], 0, valid.shape[1]
     while bottom - top > 1 and right - left > 1:

@@ -1,7 +1,7 @@
-"""Open videos safely with FFmpeg (PyAV), and turn their frames into upright 8-bit sRGB pictures.
+"""Open videos safely with FFmpeg (PyAV), and convert their frames to upright 8-bit sRGB pictures.
 
-Only MP4 and QuickTime, Matroska and WebM are opened, told by their first bytes, and only with the usual codecs. Other
-kinds of files that FFmpeg knows can name files and addresses of their own, and would make it read them.
+Only MP4, QuickTime, Matroska and WebM with the usual codecs are opened. The first bytes of a file tell its container.
+Other formats that FFmpeg supports can refer to files and addresses, which it would then read.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from mgsr.parallel import core_count
 _CODECS = ("h264", "hevc", "vp8", "vp9", "av1")
 _MOST_THREADS = 8
 
-# A Matroska video whose last frame comes before this share of its length, less so many seconds, is cut off.
+# A Matroska video is cut off if its last frame comes before this share of its length, less these seconds.
 _LEAST_SEEN, _TAIL = 0.95, 0.2
 
 # Colour codes of ITU-T H.273.
 _BT601, _BT709, _BT2020 = (5, 6), 1, 9
 _PQ, _HLG = 16, 18
 _UNKNOWN = 2
-# Videos from this height on are of BT.709 where they don't say; smaller ones of BT.601.
+# A video that does not name its colour matrix has BT.709 from this height on, else BT.601.
 _HIGH_DEFINITION = 720
 
 # The light of diffuse white, 203 cd/m2, as a share of the signal's peak (ITU-R BT.2408). The peak is 1000 cd/m2 in HLG,
@@ -47,7 +47,7 @@ _SRGB_FROM_BT2020 = np.array(
 
 @dataclass(frozen=True)
 class VideoLimits:
-    """The most that a video may hold: pixels of a frame, and frames. The defaults are 8K, and 20 minutes at 30 Hz."""
+    """Limits of a video: pixels per frame, and frames. The defaults are 8K, and 20 minutes at 30 Hz."""
 
     pixels: int = 1 << 25
     frames: int = 36_000
@@ -56,8 +56,8 @@ class VideoLimits:
 class Video:
     """An open video.
 
-    path: its file. width, height: of its frames as they are stored. frame_count: what the file says, 0 where it says
-    nothing.
+    path: its file. width, height: the size of its frames in pixels, as stored. frame_count: the number of frames that
+    the file declares, 0 if it declares none.
     """
 
     def __init__(self, path: Path, container: Any, limits: VideoLimits) -> None:
@@ -68,9 +68,9 @@ class Video:
         self.frame_count = max(0, int(self._stream.frames))
 
     def frames(self) -> Iterator[Any]:
-        """Yield every frame in order, an av.VideoFrame.
+        """Yield every frame in order, as av.VideoFrame.
 
-        Raises SceneError where the video is damaged, cut off, changes its size or has too many frames.
+        Raises SceneError if the video is damaged, cut off, changes its size or has too many frames.
         """
         import av
 
@@ -89,15 +89,15 @@ class Video:
         whole = (self._container.duration or 0) / av.time_base
         # FFmpeg takes the end of a Matroska file for the end of the video, wherever it comes.
         if "matroska" in self._container.format.name and end < _LEAST_SEEN * whole - _TAIL:
-            raise _damaged(self.path, f"it says {whole:.1f} s and ends after {end:.1f} s")
+            raise _damaged(self.path, f"it declares {whole:.1f} s, but ends after {end:.1f} s")
 
 
 @contextmanager
 def open_video(path: Path, limits: VideoLimits | None = None) -> Iterator[Video]:
     """Open a video for one pass over its frames.
 
-    Raises SceneError for files that are not such videos, are damaged or exceed the limits by what they declare; frames
-    are counted too. Raises ConfigError without PyAV.
+    Raises SceneError for files that are not supported videos, are damaged, or declare more than the limits allow.
+    `Video.frames` checks the actual number of frames. Raises ConfigError without PyAV.
     """
     kind = _container_kind(path)
     if importlib.util.find_spec("av") is None:
@@ -105,9 +105,10 @@ def open_video(path: Path, limits: VideoLimits | None = None) -> Iterator[Video]
     import av
 
     limits = limits or VideoLimits()
-    # FFmpeg's threads would wait for Python's lock to log, and Python for the threads; errors arrive as exceptions.
+    # Logging is off because FFmpeg's threads would wait for Python's lock to log, while Python waits for the threads.
+    # Errors arrive as exceptions anyway.
     av.logging.set_level(None)
-    # FFmpeg applies max_pixels before it allocates a frame, also while it looks for what the streams are.
+    # FFmpeg applies max_pixels before it allocates a frame, even while it probes the streams.
     bounds = {"max_pixels": str(limits.pixels)}
     try:
         with av.open(str(path), format=kind, options={**bounds, "protocol_whitelist": "file"}) as container:
@@ -124,12 +125,12 @@ def open_video(path: Path, limits: VideoLimits | None = None) -> Iterator[Video]
 
 
 def suffix_by_content(path: Path) -> str | None:
-    """Return the suffix of a video that is read, by its first bytes, whatever its name; None for other files."""
+    """Return the suffix that fits a video's first bytes, whatever its name, or None for other files."""
     return {"mov": ".mp4", "matroska": ".mkv", None: None}[_kind(path)]
 
 
 def _kind(path: Path) -> str | None:
-    """Return FFmpeg's name for the file's container: ISO/IEC 14496-12, 4.3, or RFC 8794, 11.1; None for others."""
+    """Return FFmpeg's name of a file's container (ISO/IEC 14496-12, 4.3; RFC 8794, 11.1), or None for others."""
     with path.open("rb") as file:
         head = file.read(12)
     if head[4:8] in (b"ftyp", b"moov", b"wide", b"mdat"):
@@ -145,16 +146,16 @@ def _container_kind(path: Path) -> str:
     kind = _kind(path)
     if kind is None:
         raise SceneError(
-            f"{path.name}: expected an MP4, MOV, WebM or Matroska video, and it begins like none of them; convert it "
+            f"{path.name}: expected an MP4, MOV, WebM or Matroska video, but it begins like none of them; convert it "
             "with `ffmpeg -i VIDEO -c:v libx264 -crf 15 VIDEO.mp4`"
         )
     return kind
 
 
 def _check_streams(path: Path, container: Any) -> None:
-    """Raise SceneError where there is no video in a file, or one by a codec that is not read."""
+    """Raise SceneError if a file has no video stream, or one with an unsupported codec."""
     if not container.streams.video:
-        raise SceneError(f"{path.name}: there is no video in it, perhaps sound alone; give the video's file")
+        raise SceneError(f"{path.name}: the file has no video stream, perhaps only sound; pass the video's own file")
     context = container.streams.video[0].codec_context
     name = None if context is None else context.name.removeprefix("lib").removesuffix("-vp9")
     known = {"dav1d": "av1", "vpx": "vp9"}
@@ -164,32 +165,32 @@ def _check_streams(path: Path, container: Any) -> None:
 
 
 def _check_declared(video: Video, container: Any, limits: VideoLimits) -> None:
-    """Raise SceneError where a video declares more than the limits, or more bytes than its file has."""
+    """Raise SceneError if a video declares more than the limits allow, or more bytes than its file has."""
     if video.width * video.height > limits.pixels or min(video.width, video.height) < 1:
         raise SceneError(
-            f"{video.path.name}: frames of {video.width}x{video.height} pixels; expected 1 to {limits.pixels} in one"
+            f"{video.path.name}: expected frames of 1 to {limits.pixels} pixels, got {video.width}x{video.height}"
         )
     if video.frame_count > limits.frames:
         raise _too_long(video.path, video.frame_count, limits)
     entries = container.streams.video[0].index_entries
     end = max((entry.pos + entry.size for entry in entries), default=0) if len(entries) else 0
     if end > (size := video.path.stat().st_size):
-        raise _damaged(video.path, f"it names {end} bytes and has {size}")
+        raise _damaged(video.path, f"it declares {end} bytes, but has {size}")
 
 
 def _too_long(path: Path, count: int, limits: VideoLimits) -> SceneError:
-    return SceneError(f"{path.name}: {count} frames or more; at most {limits.frames} are taken: cut it shorter")
+    return SceneError(f"{path.name}: expected at most {limits.frames} frames, got {count} or more; cut it shorter")
 
 
 def _damaged(path: Path, reason: str) -> SceneError:
-    return SceneError(f"{path.name}: a damaged or cut off video: {reason}; copy it again")
+    return SceneError(f"{path.name}: the video is damaged or cut off: {reason}; copy it again")
 
 
 def picture_of(frame: Any, most_side: int, knee: float = FrameOptions().knee) -> np.ndarray:
-    """Return a frame [H,W,3] as 8-bit sRGB, upright, and reduced to at most `most_side` pixels a side.
+    """Return a frame as an upright 8-bit sRGB picture [H,W,3] of at most `most_side` pixels a side.
 
-    HLG and PQ (ITU-R BT.2100) are shown with their diffuse white as white. Light that is brighter than `knee` times
-    that white is compressed.
+    In HLG and PQ (ITU-R BT.2100), diffuse white becomes white. Light brighter than `knee` times that white is
+    compressed.
     """
     matrix = _matrix(frame)
     if frame.color_trc in (_PQ, _HLG):
@@ -206,7 +207,7 @@ def picture_of(frame: Any, most_side: int, knee: float = FrameOptions().knee) ->
 
 
 def _matrix(frame: Any) -> int:
-    """Return the matrix by which a frame's colours are coded (swscale's number, which is H.273's)."""
+    """Return the code of a frame's colour matrix, in swscale's and H.273's numbering."""
     stated = int(frame.colorspace)
     if stated in (0, _UNKNOWN):
         return _BT709 if frame.height >= _HIGH_DEFINITION else _BT601[0]
@@ -214,13 +215,13 @@ def _matrix(frame: Any) -> int:
 
 
 def _as_srgb(signal: np.ndarray, curve: int, wide: bool, knee: float) -> np.ndarray:
-    """Convert a HDR signal [H,W,3], 0..1, to 8-bit sRGB. wide: whether its primaries are those of BT.2020."""
+    """Convert an HDR signal [H,W,3], 0..1, to 8-bit sRGB. wide: whether its primaries are those of BT.2020."""
     light = _pq_light(signal) / _PQ_WHITE if curve == _PQ else _hlg_light(signal) / _HLG_WHITE
     if wide:
         light = light @ _SRGB_FROM_BT2020.T
     light = np.maximum(light, 0)
     over = np.maximum(light - knee, 0)
-    bent = knee + (1 - knee) * over / (over + 1 - knee)  # with the same slope at the knee; infinity becomes 1
+    bent = knee + (1 - knee) * over / (over + 1 - knee)  # continues with slope 1 at the knee, and approaches 1
     return to_uint8(255 * linear_to_srgb(np.where(light < knee, light, bent)))
 
 
@@ -231,7 +232,7 @@ def _hlg_light(signal: np.ndarray) -> np.ndarray:
 
 
 def _pq_light(signal: np.ndarray) -> np.ndarray:
-    """Return the display light 0..1, of 10,000 cd/m2, of a PQ signal 0..1 (ITU-R BT.2100, table 4)."""
+    """Return the display light, 0..1 of 10,000 cd/m2, of a PQ signal 0..1 (ITU-R BT.2100, table 4)."""
     m1, m2 = 2610 / 16384, 2523 / 4096 * 128
     c1, c2, c3 = 3424 / 4096, 2413 / 4096 * 32, 2392 / 4096 * 32
     power = signal ** (1 / m2)

@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from mgsr.export.draco import DracoMesh, compress
 from mgsr.geometry.mesh import Mesh
 
 _COMPONENTS = {"<f4": 5126, "<u4": 5125}
 _SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 _INDICES, _VERTICES = 34963, 34962
+_DRACO, _SPECULAR, _WEBP = "KHR_draco_mesh_compression", "KHR_materials_specular", "EXT_texture_webp"
 
 
 class UpAxis(StrEnum):
@@ -34,10 +36,11 @@ _DIRECTIONS = {UpAxis.Y: (0, 1, 0), UpAxis.Z: (0, 0, 1), UpAxis.MINUS_Y: (0, -1,
 
 @dataclass(frozen=True)
 class PbrMaterial:
-    """A physically based material; its maps are pictures of the surface by TEXCOORD_0, as PNG files' bytes.
+    """A physically based material; its maps are pictures of the surface by TEXCOORD_0, as the bytes of files.
 
     base_color: sRGB. normal: in tangent space. occlusion: its red channel is the visible share of the sky. roughness,
     metallic: 0..1 on the whole surface. glossy: False for a dielectric without the gloss that glTF gives to all.
+    webp: whether the files are WebP instead of PNG.
     """
 
     base_color: bytes
@@ -46,14 +49,20 @@ class PbrMaterial:
     roughness: float
     metallic: float
     glossy: bool = True
+    webp: bool = False
 
 
 def glb(
-    mesh: Mesh, attributes: Mapping[str, np.ndarray], up: UpDirection, material: PbrMaterial | None = None
+    mesh: Mesh,
+    attributes: Mapping[str, np.ndarray],
+    up: UpDirection,
+    material: PbrMaterial | None = None,
+    compressed: bool = False,
 ) -> bytes:
     """Return the bytes of a binary glTF file with one mesh.
 
     attributes: by glTF's names, arrays [V,n] of little-endian float32. material: None for a matte one.
+    compressed: compress the mesh by Draco; attributes must be NORMAL and TEXCOORD_0.
 
     The surface is two-sided. Positions are about the mesh's middle. The node puts them back (and turns the
     mesh y-up), so that frames with a far origin keep their precision.
@@ -61,21 +70,33 @@ def glb(
     vertices, faces = mesh.vertices, mesh.faces
     middle = (vertices.max(0) + vertices.min(0)) / 2
     positions = (vertices - middle).astype("<f4")
+    used: list[str] = []
     body = _Body()
-    indices = body.add_array(faces.astype("<u4").ravel(), _INDICES)
-    places = {"POSITION": body.add_array(positions, _VERTICES)}
-    body.accessors[places["POSITION"]] |= {"min": positions.min(0).tolist(), "max": positions.max(0).tolist()}
-    places |= {name: body.add_array(array, _VERTICES) for name, array in attributes.items()}
+    if compressed:
+        packed = compress(Mesh(positions, faces), attributes["NORMAL"], attributes["TEXCOORD_0"])
+        primitive = _compressed_primitive(packed, body)
+        used.append(_DRACO)
+    else:
+        indices = body.add_array(faces.astype("<u4").ravel(), _INDICES)
+        places = {"POSITION": body.add_array(positions, _VERTICES)}
+        body.accessors[places["POSITION"]] |= _bounds(positions)
+        places |= {name: body.add_array(array, _VERTICES) for name, array in attributes.items()}
+        primitive = {"indices": indices, "attributes": places}
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "mgsr"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "matrix": _node_matrix(middle, up)}],
-        "meshes": [{"primitives": [{"indices": indices, "attributes": places, "material": 0}]}],
+        "meshes": [{"primitives": [primitive | {"material": 0}]}],
         "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1}, "doubleSided": True}],
     }
+    required = list(used)
     if material is not None:
-        document |= _textured(material, body)
+        parts, extensions = _textured(material, body)
+        document |= parts
+        used += extensions
+        required += [name for name in extensions if name == _WEBP]
+    document |= {name: names for name, names in (("extensionsUsed", used), ("extensionsRequired", required)) if names}
     document |= {"accessors": body.accessors, "bufferViews": body.views, "buffers": [{"byteLength": len(body.data)}]}
     return glb_file(document, bytes(body.data))
 
@@ -106,10 +127,29 @@ class _Body:
         return len(self.accessors) - 1
 
 
-def _textured(material: PbrMaterial, body: _Body) -> dict[str, Any]:
-    """Append a material's pictures, and return the parts of the document that refer to them."""
+def _bounds(positions: np.ndarray) -> dict[str, list[float]]:
+    """Return the bounds that the accessor of positions [V,3] must state."""
+    return {"min": positions.min(0).tolist(), "max": positions.max(0).tolist()}
+
+
+def _compressed_primitive(packed: DracoMesh, body: _Body) -> dict[str, Any]:
+    """Append a compressed mesh, and return its primitive, whose accessors have no bytes of their own."""
+    view = body.add_bytes(packed.data)
+    places = {}
+    for name, array in packed.decoded.items():
+        places[name] = len(body.accessors)
+        accessor = {"componentType": _COMPONENTS["<f4"], "count": len(array), "type": _SHAPES[array.shape[1]]}
+        body.accessors.append(accessor | (_bounds(array) if name == "POSITION" else {}))
+    indices = len(body.accessors)
+    body.accessors.append({"componentType": _COMPONENTS["<u4"], "count": 3 * packed.faces, "type": "SCALAR"})
+    extension = {"bufferView": view, "attributes": dict(packed.ids)}
+    return {"indices": indices, "attributes": places, "extensions": {_DRACO: extension}}
+
+
+def _textured(material: PbrMaterial, body: _Body) -> tuple[dict[str, Any], list[str]]:
+    """Append a material's pictures; return the parts of the document that refer to them, and the extensions used."""
     linear, mipmaps, clamped = 9729, 9987, 33071
-    views = [body.add_bytes(png) for png in (material.base_color, material.normal, material.occlusion)]
+    views = [body.add_bytes(picture) for picture in (material.base_color, material.normal, material.occlusion)]
     surface = {
         "metallicFactor": material.metallic,
         "roughnessFactor": material.roughness,
@@ -117,16 +157,21 @@ def _textured(material: PbrMaterial, body: _Body) -> dict[str, Any]:
     }
     maps = {"normalTexture": {"index": 1}, "occlusionTexture": {"index": 2}}
     whole: dict[str, Any] = {"pbrMetallicRoughness": surface, **maps, "doubleSided": True}
-    used = {}
+    used = []
     if not material.glossy:
-        whole["extensions"] = {"KHR_materials_specular": {"specularFactor": 0}}
-        used["extensionsUsed"] = ["KHR_materials_specular"]
-    return used | {
+        whole["extensions"] = {_SPECULAR: {"specularFactor": 0}}
+        used.append(_SPECULAR)
+    sources: list[dict[str, Any]] = [{"source": source} for source in range(3)]
+    if material.webp:
+        sources = [{"extensions": {_WEBP: source}} for source in sources]
+        used.append(_WEBP)
+    parts = {
         "materials": [whole],
-        "textures": [{"source": source, "sampler": 0} for source in range(3)],
-        "images": [{"bufferView": view, "mimeType": "image/png"} for view in views],
+        "textures": [{**source, "sampler": 0} for source in sources],
+        "images": [{"bufferView": view, "mimeType": f"image/{'webp' if material.webp else 'png'}"} for view in views],
         "samplers": [{"magFilter": linear, "minFilter": mipmaps, "wrapS": clamped, "wrapT": clamped}],
     }
+    return parts, used
 
 
 def _node_matrix(middle: np.ndarray, up: UpDirection) -> list[float]:

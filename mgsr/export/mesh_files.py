@@ -98,6 +98,30 @@ def write_textured_glb(
     path.write_bytes(glb(mesh, attributes, up, material))
 
 
+def write_compressed_glb(
+    path: Path, mesh: Mesh, uvs: np.ndarray, material: PbrMaterial, up: UpDirection = UpAxis.Y
+) -> None:
+    """Write a mesh with a textured material as binary glTF 2.0, compressed by Draco.
+
+    It has no tangents: readers compute them by MikkTSpace, as glTF asks. uvs [V,2], and the other arguments and errors
+    as of `write_textured_glb`.
+
+    Raises MgsrError if DracoPy is not installed.
+    """
+    check_mesh(mesh)
+    attributes = {"NORMAL": unit_normals(mesh.normals), "TEXCOORD_0": uvs.astype("<f4")}
+    path.write_bytes(glb(mesh, attributes, up, material, compressed=True))
+
+
+def webp_bytes(picture: np.ndarray, quality: int) -> bytes:
+    """Return a picture [H,W] or [H,W,3] uint8 as the bytes of a WebP file; quality: 1..100, above 100 lossless."""
+    import cv2  # imported here, because training needs no OpenCV
+
+    shown = np.ascontiguousarray(picture[..., ::-1] if picture.ndim == 3 else picture)
+    _, data = cv2.imencode(".webp", shown, [cv2.IMWRITE_WEBP_QUALITY, quality])
+    return data.tobytes()
+
+
 def png_bytes(picture: np.ndarray) -> bytes:
     """Return a picture [H,W] or [H,W,3] uint8 as the bytes of a PNG file."""
     import cv2  # imported here, because training needs no OpenCV

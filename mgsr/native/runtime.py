@@ -1,4 +1,4 @@
-"""Settings of the native kernels that hold for all families at once."""
+"""Settings of the native kernels that apply to all families."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def set_threads(n: int) -> None:
 
 
 def isas() -> list[str]:
-    """Return the compiled variants that this processor runs, fastest first: of avx512, avx2, baseline."""
+    """Return the compiled variants that this processor can run, fastest first: avx512, avx2, baseline."""
     return list(_image.isas())
 
 

@@ -21,7 +21,7 @@ from torch import Tensor
 
 
 class PinholeCamera(Protocol):
-    """A pinhole camera, of which kernels read these four attributes: `mgsr.data.camera.Camera`.
+    """A pinhole camera, such as `mgsr.data.camera.Camera`, with the four attributes that kernels read.
 
     K [3,3]: pixels, without skew. cam_from_world [4,4]: rigid, OpenCV axes. Kernels read numbers of any type.
     """
@@ -66,7 +66,7 @@ class SurfelView(NamedTuple):
 class SurfelImages(NamedTuple):
     """The images of `mgsr.ops.surfels.SurfelRaster`: color and normal [H,W,3], the others [H,W].
 
-    distortion: None where it is not asked for.
+    distortion: None if it is not requested.
     """
 
     color: Tensor
@@ -136,7 +136,7 @@ class GaussianView(NamedTuple):
 class GaussianImages(NamedTuple):
     """The images of `mgsr.ops.gaussians.GaussianRaster`: color and reflected [H,W,3], the others [H,W].
 
-    depth: None where it is not asked for; reflected, weight: None for a single opacity.
+    depth: None if it is not requested. reflected, weight: None for a single opacity.
     """
 
     color: Tensor
@@ -242,7 +242,7 @@ class AdamParameter(NamedTuple):
 
 
 class ImageInBytes(NamedTuple):
-    """A photograph in bytes.
+    """A photograph as bytes.
 
     image [H,W,3] uint8: straight colours. mask [H,W] uint8, or None. off_edge [H,W] bool: which pixels count, or None.
     """
@@ -253,7 +253,7 @@ class ImageInBytes(NamedTuple):
 
 
 class CompositedImage(NamedTuple):
-    """A photograph on a background: color [H,W,3]; alpha and weights [H,W], 0..1, None where they are not needed."""
+    """A photograph on a background: color [H,W,3]; alpha and weights [H,W], 0..1, each None if not needed."""
 
     color: Tensor
     alpha: Tensor | None
@@ -317,7 +317,7 @@ class StereoSettings(NamedTuple):
     pixels, from the centre at which a sample weighs 0.6. best: the number of best neighbours whose mean correlation is
     the score. cover: the least share of a patch that must show the object in a neighbour. prior: the loss in score of a
     depth that is prior_reach pixels off the start. search: the variation of depths in the first round, in pixels.
-    rounds: of the search.
+    rounds: the number of rounds of the search.
     """
 
     radius: int
@@ -334,7 +334,7 @@ class StereoSettings(NamedTuple):
 
 
 class VotingMaps(NamedTuple):
-    """Depth maps that vote on places.
+    """Depth maps that vote on the distances of points.
 
     cameras [V,16] float64: see `mgsr.data.camera.pinhole_row`. depths: of each view, [h,w] float32, camera z; weights:
     of its pixels, [h,w] float32.

@@ -16,7 +16,7 @@ from mgsr.ops.arrays import once_differentiable, plain
 
 # exp of a larger number nears float32's maximum. An infinite scale would turn its zero gradient into NaN.
 LARGEST_LOG_SCALE = 80.0
-LARGEST_SCALE = (1 - 1e-6) * math.exp(LARGEST_LOG_SCALE)  # less than any rounding of that exponential
+LARGEST_SCALE = (1 - 1e-6) * math.exp(LARGEST_LOG_SCALE)  # less than any rounded value of that exponential
 
 
 def activate(log_scales: Tensor, *logits: Tensor) -> tuple[Tensor, ...]:
@@ -70,7 +70,7 @@ def activated(launcher: Launcher | None, kinds: Sequence[Activation], stored: Se
 def activated_vjp(
     launcher: Launcher | None, kinds: Sequence[Activation], used: Sequence[Tensor], v_used: Sequence[Tensor | None]
 ) -> list[Tensor | None]:
-    """Return the stored parameters' gradients [...], given those of the activated values; None where there is none."""
+    """Return the stored parameters' gradients [...], given those of the activated values; None if there is none."""
     if launcher is None:
         return [_vjp(*each) for each in zip(kinds, used, v_used, strict=True)]
     v_stored = [torch.empty_like(each) for each in used]

@@ -44,16 +44,16 @@ def step_together(optimizers: Sequence[FusedAdam], bad: torch.Tensor | None = No
 class FusedAdam:
     """Adam (Kingma and Ba 2015) for parameters with one row per splat, where splats come and go.
 
-    params: name to leaf tensor [N, ...], float32, on one device; all have the same N. `params` of the object holds the
-        current ones; `keep` and `extend` replace them by new leaves (shared with whoever reads `params`).
+    params: name to leaf tensor [N, ...], float32, on one device; all have the same N. The attribute `params` holds the
+        current leaves, which `keep` and `extend` replace by new ones.
     lrs: name to learning rate, one for each parameter.
-    lr_scales: name to tensor [...] of the shape of a row, the factor on the rate of each column. For spherical
+    lr_scales: name to tensor [...] of the shape of a row, with a factor of the rate for each column. For spherical
         harmonics it is [K, 3], with 1 for the first band and 1/20 for the others.
     betas, epsilon: as in the paper; 1e-15 suits gradients as small as those of splats.
 
-    A parameter without a gradient keeps its values and its step count. New rows start with zero moments and
-    share the step count of the old ones. A NaN gradient makes its own number NaN. The result has the same bytes for
-    any thread count.
+    A parameter without a gradient keeps its values and its step count. New rows start with zero moments and share the
+    step count of the old ones. A NaN gradient makes only its own number NaN. The result has the same bytes for any
+    number of threads.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class FusedAdam:
         }
         self._first: dict[str, torch.Tensor] = {}
         self._second: dict[str, torch.Tensor] = {}
-        # Of each parameter the values and the two moments, seen as [rows, columns].
+        # For each parameter, the values and the two moments as [rows, columns].
         self._packed: dict[str, AdamParameter] = {}
         self._groups: dict[str, Group] = {}
         self._steps = dict.fromkeys(params, 0)
@@ -88,9 +88,9 @@ class FusedAdam:
         step_together([self])
 
     def set_lrs(self, lrs: Mapping[str, float]) -> None:
-        """Change all learning rates from the next step on; there may be more names than parameters.
+        """Change all learning rates from the next step on. Names of other parameters are ignored.
 
-        Raises TensorError where a parameter's is missing.
+        Raises TensorError if the rate of a parameter is missing.
         """
         if not self.params.keys() <= lrs.keys():
             raise TensorError(f"set_lrs: expected a rate for each of {sorted(self.params)}, got {sorted(lrs)}")
@@ -128,7 +128,7 @@ class FusedAdam:
         self._second[name].zero_()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return moments, step counts and rates: with `params`, the complete state of the optimiser.
+        """Return moments, step counts and rates, which with `params` are the complete state of the optimiser.
 
         Tensors are not copied.
         """
@@ -142,7 +142,7 @@ class FusedAdam:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore what `state_dict` returned, for parameters of the same names and shapes.
 
-        Raises CheckpointError where they differ.
+        Raises CheckpointError if they differ.
         """
         for key in ("first", "second"):
             came = {name: tuple(t.shape) for name, t in state[key].items()}
@@ -199,7 +199,7 @@ class FusedAdam:
         return [(self._group(name), gradients, self.lrs[name], self._steps[name]) for name, gradients in due]
 
     def _group(self, name: str) -> Group:
-        """Return the parameter as a card's kernel takes it."""
+        """Return the parameter as a struct for the GPU's kernel."""
         group = self._groups.get(name)
         if group is None:
             group = self._groups[name] = make_group(self._packed[name], self.betas, self.epsilon)

@@ -1,4 +1,4 @@
-"""The handing over of tensors to the kernels."""
+"""Helpers that pass tensors to the kernels."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mgsr.native.cuda.launcher import launcher_for
 
 
 def plain(tensor: torch.Tensor) -> torch.Tensor:
-    """Return the tensor [...] as kernels read it: contiguous and detached (no copy where it already is)."""
+    """Return the tensor [...] contiguous and detached, as kernels read it; without a copy if it already is."""
     tensor = tensor.detach() if tensor.requires_grad else tensor
     return tensor if tensor.is_contiguous() else tensor.contiguous()
 
@@ -24,14 +24,14 @@ def on_card(tensor: torch.Tensor) -> bool:
 
 
 def once_differentiable(backward: Callable[..., Any]) -> Callable[..., Any]:
-    """Make a Function's backward raise TensorError when it is itself differentiated.
+    """Make a Function's backward raise TensorError if it is itself differentiated.
 
     Torch's decorator of the same name takes ten times as long per call.
     """
 
     @wraps(backward)
     def checked(ctx: Any, *gradients: torch.Tensor | None) -> Any:
-        """Call backward. Raises TensorError if gradients of gradients are wanted."""
+        """Call backward. Raises TensorError if gradients of gradients are requested."""
         if torch.is_grad_enabled():
             raise TensorError("create_graph: expected False, got True; MGSR's operations have no second derivatives")
         return backward(ctx, *gradients)

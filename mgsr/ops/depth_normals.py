@@ -19,13 +19,13 @@ from mgsr.ops.terms import Slope, Term, Total, needs_gradient
 
 
 def depth_to_normals(depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | None = None) -> torch.Tensor:
-    """Return normals [H, W, 3]: world frame, facing the camera, of length 1, or ``alpha`` where that is given.
+    """Return the normals [H, W, 3] of a depth map: world frame, facing the camera, of length ``alpha`` or 1.
 
-    The cross product of the central differences of the back-projected points. Zero, and passing no gradient, at the
-    image's border and where the pixel or one of its four neighbours has no depth (<= 0 or NaN).
+    A normal is the cross product of the central differences of the back-projected points. It is zero and passes no
+    gradient at the image's border, and where the pixel or one of its four neighbours has no depth (<= 0 or NaN).
 
     depth: [H, W], camera z, scene units; gradients flow (to the four neighbours of each normal).
-    alpha: [H, W] or None; no gradient.
+    alpha: [H, W], or None for 1; no gradient.
 
     Raises TensorError for wrong shapes or dtypes, or a camera of another size.
     Source: method, "Surface normal"; 2DGS, Eq. 16.
@@ -71,7 +71,7 @@ def normal_agreement_term(
 class _DepthNormals(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | None) -> torch.Tensor:
-        """Return the normals [H,W,3] of a depth [H,W], which alpha [H,W] divides."""
+        """Return the normals [H,W,3] of a depth [H,W], of length alpha [H,W]."""
         depth, alpha = plain(depth), None if alpha is None else plain(alpha)
         launcher = launcher_for(depth)
         ctx.kernels = _image if launcher is None else ImageKernels(launcher)
@@ -84,7 +84,7 @@ class _DepthNormals(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_normals: torch.Tensor) -> tuple[torch.Tensor, None, None]:
-        """Return the gradient [H,W] of the depth from that of the normals [H,W,3]."""
+        """Return the gradient [H,W] of the depth, given that of the normals [H,W,3]."""
         depth, alpha = ctx.saved_tensors
         v_depth = torch.empty_like(depth)
         surface = DepthSurface(depth=depth, alpha=alpha, camera=ctx.camera)

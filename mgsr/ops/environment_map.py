@@ -29,7 +29,7 @@ def look_up_environment_map(
     pixels: [P] int64, unique flat indices (row x W + column) of the pixels to compute; elsewhere light and gradients
     are 0. By default all.
 
-    The same bytes come out for any thread count.
+    The result has the same bytes for any number of threads.
 
     Raises TensorError for wrong shapes or dtypes, or a camera of another size.
     """
@@ -65,7 +65,7 @@ class _EnvironmentMapLookup(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_light: torch.Tensor) -> tuple[torch.Tensor | None, torch.Tensor | None, None, None]:
-        """Return the gradients of maps [2,S,S,3] and normals [H,W,3] from that of the light [H,W,3]."""
+        """Return the gradients of maps [2,S,S,3] and normals [H,W,3], given that of the light [H,W,3]."""
         maps, normals, pixels = ctx.saved_tensors
         v_maps = torch.empty_like(maps) if ctx.needs_input_grad[0] else None
         v_normals = _like(normals, pixels) if ctx.needs_input_grad[1] else None
@@ -75,5 +75,5 @@ class _EnvironmentMapLookup(torch.autograd.Function):
 
 
 def _like(normals: torch.Tensor, pixels: torch.Tensor | None) -> torch.Tensor:
-    """Allocate the kernels' result [H,W,3]; it is zero where they write only chosen pixels."""
+    """Allocate the kernels' result [H,W,3], with zeros if they write only chosen pixels."""
     return torch.empty_like(normals) if pixels is None else torch.zeros_like(normals)

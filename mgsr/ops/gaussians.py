@@ -53,7 +53,7 @@ class GaussianRaster:
 
     color [H,W,3]: transmitted light over the background.
     alpha [H,W]: 1 - transmittance.
-    depth [H,W]: mean camera z, 0 without splats; None if it was not asked for.
+    depth [H,W]: mean camera z, 0 without splats; None if not requested.
     reflected [H,W,3], weight [H,W]: None for a single opacity.
     """
 
@@ -84,7 +84,7 @@ def rasterize_gaussians(
     opacities [N]: in [0,1].
     colors [N,3], background [3].
 
-    A splat with a non-finite value is left out. alpha = min(0.999, opacity * G) counts from 1/255. A pixel stops before
+    A splat with a non-finite value is left out. alpha = min(0.999, opacity * G) counts from 1/255. Blending ends before
     the splat that would leave a transmittance under 1e-4, separately for each of the two opacities.
 
     Raises TensorError for a wrong shape or dtype. Source: supplement, Eq. 16-19; method.md "3D branch".
@@ -120,7 +120,7 @@ def rasterize_gaussians(
 
 
 class GaussianPass:
-    """One rendering of Gaussians, forward and back, outside the graph.
+    """One rendering of Gaussians, forward and backward, outside the graph.
 
     differentiable: whether `backward` will be called; stats: of the rendering, once it is done.
     """

@@ -21,11 +21,11 @@ def harmonics_to_rgb(
     """Return the colours [N, 3] = max(0, SH(direction) + 0.5), direction = from the camera to the splat, unit.
 
     coeffs: [N, K, 3], K = 1, 4, 9 or 16; gradients flow (zero for bands above ``degree``).
-    means: [N, 3], world; gradients flow. camera_center: [3], world, best on the processor; no gradient.
+    means: [N, 3], world; gradients flow. camera_center: [3], world, preferably on the CPU; no gradient.
     degree: highest band used, 0..3, at most sqrt(K) - 1.
 
-    A channel that was cut at 0 passes no gradient. A splat at the camera's centre has the zero direction. A NaN in a
-    splat's numbers makes its own colour NaN and no other's.
+    A channel that is clipped at 0 passes no gradient. A splat at the camera's centre has a zero direction. A NaN in a
+    splat's numbers makes only its own colour NaN.
 
     Raises TensorError for wrong shapes, dtypes or a degree that K does not hold.
     Source: the basis of 3DGS files (real harmonics with the Condon-Shortley phase, in the order y, z, x).
@@ -59,7 +59,7 @@ class _Harmonics(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_rgb: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None, None, None]:
-        """Return the gradients of coefficients [N,K,3] and means [N,3] from that of the colours [N,3]."""
+        """Return the gradients of coefficients [N,K,3] and means [N,3], given that of the colours [N,3]."""
         coeffs, means, center, rgb = ctx.saved_tensors
         v_means = torch.zeros_like(means) if ctx.needs_input_grad[1] else None
         splats = Harmonics(coeffs=coeffs, means=means, center=center, degree=ctx.degree)
@@ -84,7 +84,7 @@ def harmonics_vjp(
     v_rgb: torch.Tensor,
     v_means: torch.Tensor | None,
 ) -> torch.Tensor:
-    """Return the gradient of the coefficients [N,K,3]; add the gradient of the means to v_means [N,3], if given.
+    """Return the gradient of the coefficients [N,K,3], and add that of the means to v_means [N,3], if given.
 
     rgb, v_rgb [N,3]: the colours and their gradient.
     """

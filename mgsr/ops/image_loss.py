@@ -40,7 +40,7 @@ def image_loss_term(
     clip: bool = False,
     mask_sum: float | None = None,
 ) -> Term:
-    """Return ``l1_weight * L1 + (1 - l1_weight) * (1 - SSIM)``, means over all pixels and channels.
+    """Return ``l1_weight * L1 + (1 - l1_weight) * (1 - SSIM)``, the mean over all pixels and channels.
 
     image, target: [H, W, 3], colours 0..1; gradients flow to each that requires them.
     l1_weight: 0..1.
@@ -50,12 +50,12 @@ def image_loss_term(
     clip: clip image values above 1 to 1, without gradient. Photographs clip, so where one is white, any brighter
     rendering is equally right.
     mask_sum: the mask's sum, if known, which saves a reduction on the GPU.
-    region: (y0, y1, x0, x1), ends excluded: a promise that image and target are equal outside. Costs only the region's
-    pixels; the loss still covers the whole image, and the gradient outside the region is zero.
+    region: (y0, y1, x0, x1), ends excluded. The caller guarantees that image and target are equal outside, so only the
+    region's pixels are computed. The loss still covers the whole image; the gradient outside the region is zero.
 
     SSIM: window of 11 taps, sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2 (Wang et al. 2004). At equal pixels L1
-    passes no gradient. A NaN pixel makes the loss NaN, and the gradient within 10 pixels of it. The same bytes come out
-    for any thread count.
+    passes no gradient. A NaN pixel makes the loss NaN, and the gradient within 10 pixels of it. The result has the same
+    bytes for any number of threads.
 
     Raises TensorError for wrong shapes or dtypes, a weight outside 0..1, or a region that leaves the image.
     Source: method, "Render loss".
@@ -84,7 +84,7 @@ def _differentiated(
 ) -> Term:
     launcher = launcher_for(image)
     of_image, of_target = needs_gradient(image, target)
-    # On the processor slopes are whole images: zero where the kernel writes nothing.
+    # On the CPU, slopes cover the whole image, so they must be zero where the kernel writes nothing.
     new = torch.empty if launcher is not None or region == whole else torch.zeros
     v_image = new(image.shape, device=image.device) if of_image or of_target else None
     v_target = new(image.shape, device=image.device) if of_target else None

@@ -1,4 +1,4 @@
-"""Light added to rendered images before they are compared: reflected light, and a flash's.
+"""Adds light to rendered images before they are compared: reflected light, and flash light.
 
 Forward and backward functions work outside the graph, on contiguous tensors. launcher: of the GPU's kernels; None on
 the CPU. On the CPU they go channel by channel, as torch broadcasts and sums an axis of length three several times more
@@ -23,8 +23,8 @@ def apply_shading(
 ) -> Tensor:
     """Return the image [H,W,3], in sRGB, of an object under a flash, from its image `unlit` [H,W,3] under even light.
 
-    alpha [H,W]: of the object; background [3]. shading [H,W]: the flash's light, 0..1, to the power 1/2.4. It falls on
-    the object alone. Where that is nearly black, the result may lie below 0.
+    alpha [H,W]: of the object; background [3]. shading [H,W]: the flash's light, 0..1, to the power 1/2.4. It falls
+    only on the object. Where the object is nearly black, the result may be below 0.
     """
     image = torch.empty_like(unlit)
     if launcher is not None:

@@ -1,4 +1,4 @@
-"""Building blocks of losses beside image kernels: targets, coverage, and terms that look at each number alone."""
+"""Building blocks of losses beside the image kernels: targets, coverage, and terms of single numbers."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from mgsr.native.structs import CompositedImage, ImageInBytes, WeightedDifferenc
 from mgsr.ops.arrays import plain
 from mgsr.ops.terms import Slope, Term, Total, needs_gradient
 
-LEAST = 1e-4  # of alpha, and of 1 - alpha, in a cross entropy
+LEAST = 1e-4  # the lower limit of alpha and of 1 - alpha in a cross entropy
 
 
 def composite(
     image: Tensor, mask: Tensor, background: Tensor, off_edge: Tensor | None = None, region: Region | None = None
 ) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Composite a photograph in bytes on a colour: color [H,W,3], alpha [H,W] in 0..1, and off_edge [H,W], 0 or 1.
+    """Composite a photograph on a colour; return color [H,W,3], alpha [H,W] in 0..1, and off_edge [H,W] as 0 or 1.
 
     image [H,W,3]: uint8, straight colours.
     mask [H,W]: uint8.
@@ -91,8 +91,8 @@ def squares_term(
 ) -> Term:
     """Return the sum of the squares of (a - b) * weights - offset, divided by `by`.
 
-    a, b: [...], of one shape; gradients flow. weights: two, of that shape, each 0 or 1; None is 1 everywhere, as both
-    must be beside an offset. by: a number, or one in a tensor [] float32, which is not read.
+    a, b: [...], of the same shape; gradients flow. weights: two tensors of that shape, each 0 or 1; None means 1. With
+    an offset, both must be None. by: a number, or a tensor [] float32, which the host does not read.
 
     Raises TensorError for wrong dtypes or shapes.
     """

@@ -15,8 +15,8 @@ from mgsr.ops.arrays import once_differentiable, plain
 class SplatStats:
     """Statistics of each splat in one render.
 
-    radii [N]: pixels, 0 where culled; v_means2d [N,2]: once backward has run, the gradient of the loss to each
-    projected centre in pixels.
+    radii [N]: pixels, 0 for culled splats. v_means2d [N,2]: the gradient of the loss with respect to each projected
+    centre in pixels, once backward has run.
     """
 
     radii: Tensor
@@ -24,12 +24,12 @@ class SplatStats:
 
     @property
     def visible(self) -> Tensor:
-        """Return which splats were not culled, [N] bool."""
+        """Return which splats are not culled, [N] bool."""
         return self.radii > 0
 
 
 class RasterPass(Protocol):
-    """One rendering, forward and back, outside the graph.
+    """One rendering, forward and backward, outside the graph.
 
     Splats, Images, ImageGradients: the structs of its kernels (see `mgsr.native.structs`), which are named tuples of
     contiguous tensors. The background comes last in Splats, colour and alpha first in Images.
@@ -43,11 +43,11 @@ class RasterPass(Protocol):
         """Return the Images, [H,W] or [H,W,3]."""
 
     def backward(self, splats: Any, images: Any, v_images: Any) -> tuple[Tensor | None, ...]:
-        """Return the splats' gradients [N,...] and, last, those of their shifts in the image, given the images'."""
+        """Return the splats' gradients [N,...], and last those of their shifts in the image, given v_images."""
 
 
 class Rasterize(torch.autograd.Function):
-    """A pass over tensors as its `forward` takes them, with gradients, also of the background."""
+    """The autograd function of a pass. It takes the tensors of the pass, and differentiates them and the background."""
 
     @staticmethod
     def forward(ctx: Any, pass_: RasterPass, *tensors: Tensor | None) -> tuple[Tensor | None, ...]:
@@ -62,7 +62,7 @@ class Rasterize(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Any, ...]:
-        """Return the gradients of all tensors from those of the images [H,W] or [H,W,3]."""
+        """Return the gradients of all tensors, given those of the images [H,W] or [H,W,3]."""
         images = ctx.pass_.Images._make(ctx.saved_tensors)
         v_images = ctx.pass_.ImageGradients._make(v if v is None else plain(v) for v in v_outputs)
         *v_splats, _ = ctx.pass_.backward(ctx.splats, images, v_images)

@@ -22,8 +22,8 @@ def gather_gradients(
 ) -> None:
     """Add the gradient lengths of one image to gradient_sum [N], and count the splats that it shows in seen [N].
 
-    In place: gradient_sum [N] += the lengths of v_means2d [N,2] times `scale`; seen [N] += 1 where radii [N] > 0. bad
-    [] bool, on a card: whether the gradients count as zero.
+    Changes in place: gradient_sum [N] += the lengths of v_means2d [N,2] times `scale`; seen [N] += 1 where
+    radii [N] > 0. bad [] bool, only on a GPU: whether the gradients count as zero.
 
     Raises TensorError for wrong shapes or dtypes, or tensors on different devices. No gradients flow.
     """

@@ -1,4 +1,4 @@
-"""Rasterization of 2D surfels: colour, alpha, expected and median depth, normal and, when asked for, distortion."""
+"""Rasterization of 2D surfels: colour, alpha, mean and median depth, normal and, on request, distortion."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ class SurfelRaster:
     color [H,W,3]: over the background.
     alpha [H,W]: 1 - transmittance.
     depth [H,W]: mean camera z, 0 without splats.
-    median_depth [H,W]: camera z of the splat at which transmittance falls through 1/2; 0 if it stays above.
+    median_depth [H,W]: camera z of the splat at which transmittance falls below 1/2; 0 if it stays above.
     normal [H,W,3]: world frame, towards the camera, the sum of alpha T n, not renormalised.
     distortion [H,W]: the sum over pairs of splats (each pair once) of w_i w_j (m_i - m_j)^2, with w = alpha T and
-    m = (z - near) / (far - near); None if it was not asked for.
+    m = (z - near) / (far - near); None if not requested.
     """
 
     color: Tensor
@@ -82,9 +82,10 @@ def rasterize_surfels(
 
     The weight of a splat at a pixel is the larger of two. The first is exp(-(u^2 + v^2) / 2) at the point (u, v) where
     the pixel's ray meets the splat's plane beyond `near`. The second is exp(-d^2 / (2 low_pass)) at d pixels from the
-    projected centre, at the centre's depth. A plane seen under a sine below 1e-3 has only the second. alpha =
-    min(0.999, opacity * weight) counts from 1/255. A pixel stops before the splat that would leave a transmittance
-    under 1e-4. stats.v_means2d is the gradient with respect to a shift of a splat's weights in the image plane.
+    projected centre, at the centre's depth. An edge-on surfel, whose plane meets the ray at an angle with a sine below
+    1e-3, has only the second. alpha = min(0.999, opacity * weight) counts from 1/255. Blending ends before the splat
+    that would leave a transmittance under 1e-4. stats.v_means2d is the gradient with respect to a shift of a splat's
+    weights in the image plane.
 
     Raises TensorError for a wrong shape or dtype, or for options without 0 < near < far and low_pass > 0.
     Source: 2DGS, Eq. 4-13; method.md "2D branch". Deviation: distortion squares differences of plain depth.
@@ -110,7 +111,7 @@ def rasterize_surfels(
 
 
 class SurfelPass:
-    """One rendering of surfels, forward and back, outside the graph.
+    """One rendering of surfels, forward and backward, outside the graph.
 
     differentiable: whether `backward` will be called; stats: of the rendering, once it is done.
     """

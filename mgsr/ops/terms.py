@@ -1,8 +1,8 @@
 """Loss terms with their derivatives, evaluated as one node of the graph.
 
-A term's kernel computes its value and its derivative for each image in one pass. Derivatives are scaled and added up
-once, for all terms together. An image that five terms use gets its gradient in one pass over it. A training step has
-one node in the graph instead of dozens.
+A term's kernel computes its value and its derivative for each image in one pass. Derivatives are scaled and added once,
+for all terms together, so an image that five terms use gets its gradient in one pass. A training step has one node in
+the graph instead of dozens.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Total:
 class Slope:
     """A term's derivative for one tensor of the graph.
 
-    The derivative of the term's sum is factor * values, which is shaped like the image or has one number a pixel.
+    The derivative of the term's sum is factor * values, which has the image's shape or one number per pixel.
     region (y0, y1, x0, x1), ends excluded: outside, the values are not read and the derivative is 0.
     """
 
@@ -43,10 +43,9 @@ class Slope:
 
 @dataclass(slots=True)
 class Term:
-    """A loss term: a number to make small, times a weight.
+    """A loss term: a number to minimise, times a weight.
 
-    A number times a term is a term; `float` gives its value, and `scalar` makes a tensor of it that gradients flow
-    through.
+    A number times a term is a term. `float` returns its value, and `scalar` returns it as a tensor with gradients.
     """
 
     sums: Total | Sums
@@ -91,7 +90,7 @@ class _Evaluate(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_values: Tensor) -> tuple[Any, ...]:
-        """Return the images' gradients, in their shapes, from those of the values [T]."""
+        """Return the images' gradients, in their shapes, given those of the values [T]."""
         images = [Image(shape) for shape in ctx.shapes]
         for (image, number, factor, region), values in zip(ctx.described, ctx.saved_tensors, strict=True):
             images[image].parts.append(Part(values, number, factor, region))
@@ -102,9 +101,9 @@ class _Evaluate(torch.autograd.Function):
 
 
 def _values(terms: Sequence[Term]) -> tuple[TermKernels | None, Tensor, Any]:
-    """Evaluate the terms of one device: the kernels that add up their slopes, the values [T], and the slopes' scales.
+    """Evaluate terms of one device. Return the kernels that add their slopes, the values [T], and the slopes' scales.
 
-    On the processor there are no kernels: None.
+    The kernels are None on the CPU.
     """
     on_card = [(term.sums, term.weight) for term in terms if isinstance(term.sums, Sums)]
     if on_card:

@@ -31,7 +31,7 @@ def edge_aware_tv_term(values: torch.Tensor, guide: torch.Tensor, mask: torch.Te
     only pairs with both pixels inside count. Without a pair (one pixel, an empty mask) the result is 0.
 
     A NaN in values makes the result NaN; gradients are NaN at that pixel and its neighbours. The result has the same
-    bytes for any thread count.
+    bytes for any number of threads.
 
     Raises TensorError for wrong shapes or dtypes.
     Source: method, "TV".

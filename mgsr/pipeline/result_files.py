@@ -22,7 +22,7 @@ from mgsr.export.environment_map import StoredEnvironmentMap, load_environment_m
 from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.export.flash import load_flash, write_flash
 from mgsr.export.gltf import PbrMaterial, UpAxis, UpDirection
-from mgsr.export.mesh_files import png_bytes, write_ply, write_textured_glb
+from mgsr.export.mesh_files import png_bytes, webp_bytes, write_compressed_glb, write_ply, write_textured_glb
 from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number, read_origin
 from mgsr.export.radiance_map import write_radiance_map
@@ -47,6 +47,7 @@ from mgsr.pipeline.result_paths import (
     LEVEL_GLB,
     MESH,
     MESH_OBJ,
+    MODEL_DRACO,
     MODEL_GLB,
     MODEL_USDZ,
     RENDERS,
@@ -59,6 +60,8 @@ from mgsr.report.decisions import with_decisions
 from mgsr.report.html import write_report_html
 from mgsr.report.pictures import ReportPictures
 from mgsr.shading.lighting import Lighting, add_irradiance
+
+COLOR_QUALITY, MAP_QUALITY = 90, 101  # of the compressed model's WebP maps, 1..100; 101 is lossless
 
 
 def clear_reports(out: Path) -> None:
@@ -225,11 +228,11 @@ def write_textured(out: Path, levels: Sequence[TexturedMesh], scene: Scene, outp
     """Write the textured model, and environment.exr if its material has a light.
 
     levels: of detail, the finest first, in the user's frame. The first becomes model.glb, and model.usdz if it is asked
-    for; the others become model_lod1.glb and so on. All are y up, and lengths are in the output's unit. An earlier
-    run's files are removed.
+    for, and model_draco.glb if compression is; the others become model_lod1.glb and so on. All are y up, and lengths
+    are in the output's unit. An earlier run's files are removed.
     """
     up = _up(scene, output)
-    for old in (out / MODEL_USDZ, out / ENVIRONMENT, *out.glob(LEVEL_GLB.format("*"))):
+    for old in (out / MODEL_USDZ, out / MODEL_DRACO, out / ENVIRONMENT, *out.glob(LEVEL_GLB.format("*"))):
         old.unlink(missing_ok=True)
     for level, textured in enumerate(levels):
         scaled, material = textured.in_frame(textured.vertices * output.scale), _pbr_material(textured)
@@ -238,17 +241,31 @@ def write_textured(out: Path, levels: Sequence[TexturedMesh], scene: Scene, outp
         if level == 0 and output.usdz:
             with atomic_write(out / MODEL_USDZ) as path:
                 write_usdz(path, scaled, scaled.uvs, material, up)
+        if level == 0 and output.draco:
+            with atomic_write(out / MODEL_DRACO) as path:
+                write_compressed_glb(path, scaled, scaled.uvs, _pbr_material(textured, webp=True), up)
     if (light := levels[0].material.light) is not None:
         with atomic_write(out / ENVIRONMENT) as path:
             write_radiance_map(path, light, up)
 
 
-def _pbr_material(textured: TexturedMesh) -> PbrMaterial:
-    """Return a model's maps as PNG files, with its constants."""
-    base_color, normal, occlusion = map(png_bytes, (textured.base_color, textured.normal_map, textured.occlusion))
-    constants = textured.material
-    given = (base_color, normal, occlusion, constants.roughness, constants.metallic)
-    return PbrMaterial(*given, glossy=not constants.matte)
+def _pbr_material(textured: TexturedMesh, webp: bool = False) -> PbrMaterial:
+    """Return a model's maps as PNG files, or as WebP files of COLOR_QUALITY and MAP_QUALITY, with its constants."""
+    color, normal, occlusion, constants = (
+        textured.base_color,
+        textured.normal_map,
+        textured.occlusion,
+        textured.material,
+    )
+    return PbrMaterial(
+        webp_bytes(color, COLOR_QUALITY) if webp else png_bytes(color),
+        webp_bytes(normal, MAP_QUALITY) if webp else png_bytes(normal),
+        webp_bytes(occlusion, MAP_QUALITY) if webp else png_bytes(occlusion),
+        constants.roughness,
+        constants.metallic,
+        glossy=not constants.matte,
+        webp=webp,
+    )
 
 
 def _up(scene: Scene, output: OutputConfig) -> UpDirection:

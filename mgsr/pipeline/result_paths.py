@@ -12,6 +12,7 @@ MESH_OBJ = "mesh.obj"
 MODEL_GLB = "model.glb"
 LEVEL_GLB = "model_lod{}.glb"
 MODEL_USDZ = "model.usdz"
+MODEL_DRACO = "model_draco.glb"
 ENVIRONMENT = "environment.exr"
 SURFELS = "splats_2d.ply"
 GAUSSIANS = "splats_3d.ply"
@@ -62,6 +63,11 @@ class ResultPaths:
     def model_usdz(self) -> Path:
         """Return the path of model.usdz, which exists if it was requested."""
         return self.folder / MODEL_USDZ
+
+    @property
+    def model_draco(self) -> Path:
+        """Return the path of model_draco.glb, the compressed model, which exists if it was requested."""
+        return self.folder / MODEL_DRACO
 
     @property
     def environment(self) -> Path:

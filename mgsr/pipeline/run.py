@@ -8,6 +8,7 @@ from pathlib import Path
 from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
+from mgsr.export.draco import require_draco
 from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.export.usdz import require_usd
 from mgsr.geometry.mesh import Mesh
@@ -49,6 +50,8 @@ def run_scene(
     """
     if config.output.usdz:
         require_usd()
+    if config.output.draco:
+        require_draco()
     if isinstance(given, Scene):
         config = as_read(given, config)
     chosen, resume = pick_device(device), control.resume

@@ -7,6 +7,7 @@ from typing import Any
 
 from mgsr.config import Config
 from mgsr.data.scene import Scene
+from mgsr.export.draco import require_draco
 from mgsr.export.usdz import require_usd
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.device import pick_device
@@ -37,6 +38,8 @@ def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> R
     """
     if config.output.usdz:
         require_usd()
+    if config.output.draco:
+        require_draco()
     chosen = pick_device(device)
     scene = with_found_object(out, at_known_exposures(out, load_again(path, out, config)))
     # The run compared its surface with the starting surface, which the same seed reproduces.

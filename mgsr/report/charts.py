@@ -16,7 +16,7 @@ LEFT, RIGHT, TOP, BOTTOM = 48, 74, 30, 44
 
 @dataclass(frozen=True)
 class Series:
-    """A series: its label, the style's colour class (a or b), and points (x, y) with x rising."""
+    """A series: its label, its colour class in the style (a or b), and points (x, y) in the order of x."""
 
     label: str
     color: str
@@ -43,7 +43,7 @@ class Axes:
 
 @dataclass(frozen=True)
 class _PlotArea:
-    """The data's rectangle, and its mapping into the picture."""
+    """The rectangle of the data, and its mapping to the picture."""
 
     low: tuple[float, float]
     high: tuple[float, float]
@@ -55,7 +55,7 @@ class _PlotArea:
 
 
 def line_chart(lines: Sequence[Series], axes: Axes, boundaries: Sequence[Boundary] = ()) -> str:
-    """Draw an <svg> element with its lines labelled at their ends; empty text where no line has a point."""
+    """Draw an <svg> element with lines that are labelled at their ends. Returns empty text if no line has a point."""
     lines = [line for line in lines if line.points]
     if not lines:
         return ""
@@ -76,7 +76,7 @@ def ticks(low: float, high: float, about: int) -> list[float]:
 
 
 def short_number(value: float) -> str:
-    """Format a number shortly: 12, 3.5, 12k, 1.2M."""
+    """Format a number in short form: 12, 3.5, 12k, 1.2M."""
     for size, letter in ((1e6, "M"), (1e3, "k")):
         if abs(value) >= size:
             return f"{value / size:.3g}{letter}"
@@ -115,7 +115,7 @@ def _grid(frame: _PlotArea, axes: Axes) -> list[str]:
 
 
 def _stages(frame: _PlotArea, boundaries: Sequence[Boundary]) -> list[str]:
-    """Draw a dashed line where a stage begins, with its label where the stage is wide enough for the words."""
+    """Draw a dashed line at the beginning of each stage, with its label if the stage is wide enough for it."""
     parts = []
     places = [*(boundary.x for boundary in boundaries), frame.high[0]]
     for boundary, end in zip(boundaries, places[1:], strict=True):
@@ -139,7 +139,7 @@ def _line(line: Series, frame: _PlotArea) -> str:
 
 
 def _end_labels(lines: Sequence[Series], frame: _PlotArea) -> list[str]:
-    """Draw label and last value right of each line's end, moved apart where they would touch."""
+    """Draw label and last value to the right of each line's end, moved apart if they would overlap."""
     ends = sorted((frame.at(*line.points[-1])[1], index) for index, line in enumerate(lines))
     parts, lowest = [], -math.inf
     for y, index in ends:

@@ -1,4 +1,4 @@
-"""Photographs side by side in one small picture, so that a page loads all of them at once."""
+"""Contact sheets: small photographs in one picture, so that a page loads all of them at once."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ TILE = 128  # pixels; side of the square that holds one photograph
 
 
 def columns(count: int) -> int:
-    """Return how many tiles a row of a sheet of so many photographs has."""
+    """Return the number of tiles in a row of a sheet of `count` photographs."""
     return max(1, math.ceil(math.sqrt(count)))
 
 
 def contact_sheet(pictures: Iterable[np.ndarray | None], count: int) -> np.ndarray:
-    """Return a sheet uint8 [H,W,4] of so many pictures uint8 [h,w,3], row by row.
+    """Return a sheet uint8 [H,W,4] of `count` pictures uint8 [h,w,3], row by row.
 
-    Each lies in the middle of a tile, reduced to fit; the rest of the tile is transparent. None leaves a tile empty.
+    Each picture is reduced to fit, and centred in its tile. The rest of the tile is transparent. None leaves a tile
+    empty.
     """
     across = columns(count)
     sheet = np.zeros((math.ceil(count / across) * TILE, across * TILE, 4), np.uint8)

@@ -13,8 +13,8 @@ from typing import Any, get_args, get_origin, get_type_hints
 class StageRun:
     """A training stage.
 
-    Its iterations, why it ended (iterations, converged, budget or deadline), and how many splats were dropped then,
-    since they contributed next to nothing to the light.
+    It has the number of iterations and the reason of its end (iterations, converged, budget or deadline). dropped: the
+    number of splats that were pruned at the end because of their low contribution.
     """
 
     iterations: int
@@ -24,10 +24,10 @@ class StageRun:
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """One row of the curve.
+    """A row of the training curve.
 
-    It has the seconds of training, the PSNR of each branch on held-out views, and the number of splats of each branch.
-    A PSNR, dB, is None without such views or without the branch.
+    It has the seconds of training, the PSNR of each branch on held-out views in dB, and the number of splats of each
+    branch. A PSNR is None without such views or without the branch.
     """
 
     seconds: float
@@ -42,7 +42,7 @@ class CurvePoint:
 
 @dataclass(frozen=True)
 class MeshFacts:
-    """Counts of the surface; boundary_edges belong to one face only, holes are the loops that they form."""
+    """Counts of the surface. boundary_edges: edges of only one face. holes: the loops of boundary edges."""
 
     vertices: int
     faces: int
@@ -89,9 +89,9 @@ class InputFacts:
     """The capture. A field that is None does not apply and is not written.
 
     image_size: width and height of the first training view. points: the number of points in the capture. splats_origin
-    [3]: the origin of positions in splat files, where the frame's own lies far away. shown: the share of the training
-    images' pixels that photographs show, where it is not all. backdrop [3]: the colour, sRGB 0..1, of a plain backdrop
-    behind photographs without masks. exposures: the ratio of the brightest exposure to the darkest.
+    [3]: the origin of positions in splat files, if the frame's own origin is far away. shown: the share of valid pixels
+    in the training images, if it is not 1. backdrop [3]: the colour, sRGB 0..1, of a plain backdrop in photographs
+    without masks. exposures: the ratio of the brightest exposure to the darkest.
     """
 
     path: str
@@ -112,7 +112,7 @@ class InputFacts:
     starting_points: StartFacts | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Return the facts that apply, by name, as plain types."""
+        """Return the fields that apply, by name, as plain types."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
@@ -127,7 +127,7 @@ class MeshStepRun:
 
 @dataclass(frozen=True)
 class Selection:
-    """What model selection chose, and the PSNR, dB, on held-out photographs of each candidate that it tried."""
+    """The result of model selection, and the PSNR in dB of each candidate on held-out photographs."""
 
     chosen: str | int | None
     tried: dict[str, float]
@@ -147,8 +147,8 @@ class MachineFacts:
 class BudgetFacts:
     """The time budget and its use, in seconds; planned and spent are by step.
 
-    place: of the settings on the line of presets; settings: the same in words. image_scale: the factor on the sides of
-    the training photographs. too_small: whether the least plan needs more.
+    place: the place of the settings on the line of presets. settings: the same in words. image_scale: the factor of the
+    training photographs' sides. too_small: whether even the shortest plan needs more time.
     """
 
     seconds: float
@@ -175,7 +175,7 @@ class ReportData:
     """A whole run.
 
     seconds: by step and stage, with `total`. gaussians: splats by branch. gt: scores against the true surface by
-    name, in the units of `mgsr.metrics`; None where no truth lies beside the scene. Fields with the default None stand
+    name, in the units of `mgsr.metrics`; None if no truth lies beside the scene. Fields with the default None stand
     in report.json only where the run has them.
 
     light: the kind of light in the photographs. start_kept: whether the
@@ -251,7 +251,7 @@ REQUIRED = (
 
 
 def finite(value: Any) -> Any:
-    """Return the same nest of plain types, with None for NaN and infinities, which JSON does not know."""
+    """Return a copy of nested plain types with None for NaN and infinities, which JSON does not have."""
     if isinstance(value, Mapping):
         return {str(key): finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

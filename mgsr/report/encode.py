@@ -1,4 +1,4 @@
-"""Pictures as data addresses, so that a page needs no second file."""
+"""Encode pictures as data URLs, so that a page needs no second file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mgsr.data.images import reduce_area, to_uint8
 from mgsr.errors import MgsrError
 
 QUALITY = 88  # of WebP, 0 to 100: no visible blocks in normals and smooth shading
-EFFORT = 4  # of WebP, 0 to 6: the last steps take a hundred times as long where there is alpha, and save 3%
+EFFORT = 4  # of WebP, 0 to 6: with alpha, the highest efforts take a hundred times as long, and save 3%
 
 
 def data_address(pixels: np.ndarray, max_side: int) -> str:
@@ -41,7 +41,7 @@ def shrunk(pixels: np.ndarray, max_side: int) -> np.ndarray:
 def webp(pixels: np.ndarray) -> bytes:
     """Encode a picture [H,W,3] or [H,W,4] uint8 as a WebP file.
 
-    Raises MgsrError where OpenImageIO can't write one.
+    Raises MgsrError if OpenImageIO can't write one.
     """
     import OpenImageIO
 
@@ -58,5 +58,5 @@ def webp(pixels: np.ndarray) -> bytes:
         written = output.write_image(np.ascontiguousarray(pixels))
         output.close()
         if not written:
-            raise MgsrError(f"report: a picture was not written: {output.geterror()}")
+            raise MgsrError(f"report: a picture could not be written: {output.geterror()}; check the temporary folder")
         return path.read_bytes()

@@ -1,4 +1,4 @@
-"""Pictures of the environment maps that the surface reflects: the scene's as a panorama, and the camera's."""
+"""Draw the environment maps that the surface reflects: the scene's map as a panorama, and the camera's map."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from mgsr.report.pictures import Picture
 
 HEIGHT = 180  # pixels
 BRIGHTEST = 99.8  # percent of texels that are no brighter than white in the picture
-DARK = 0.1  # of the other map's brightness, under which a map is not worth a picture
+DARK = 0.1  # of the other map's brightness; a darker map gets no picture
 
 
 def environment_map_pictures(environment_map: EnvironmentMap, up: np.ndarray) -> list[Picture]:
-    """Draw the environment maps, brightened alike until lamps are white.
+    """Draw the environment maps, both brightened by the same factor so that lamps are white.
 
     The scene's map becomes a panorama with `up` [3] at the top. The camera's map shows the half towards the camera,
-    with the camera in the middle. A map that is dark beside the other is left out.
+    with the camera in the middle. A map that is much darker than the other is left out.
     """
     still, held = environment_map.maps().detach()
     around = _looked_up(still, _around(np.asarray(up, np.float64)))
@@ -46,7 +46,7 @@ def _around(up: np.ndarray) -> np.ndarray:
 
 
 def _half() -> tuple[np.ndarray, np.ndarray]:
-    """Return the directions [H,H,3] of the half of a map around its middle, seen from afar, and where it is [H,H]."""
+    """Return the directions [H,H,3] of the half of a map around its middle, seen from afar, and its pixels [H,H]."""
     y, x = (np.mgrid[:HEIGHT, :HEIGHT] + 0.5) / HEIGHT * 2 - 1
     square = x * x + y * y
     return np.dstack([x, y, np.sqrt(np.maximum(1 - square, 0))]), square < 1

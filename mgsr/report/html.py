@@ -1,4 +1,4 @@
-"""The page report.html: one file with everything in it, for a person with a browser and no network."""
+"""The page report.html: a self-contained file for a browser without network."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mgsr.report.pictures import RAMP, Picture, ReportPictures, SurfacePictures,
 from mgsr.report.scores import scores_told
 from mgsr.report.style import CSS, SCRIPT
 
-HERO_SIDE, TILE_SIDE = 512, 320  # longest sides in pixels: a report stays small enough to send
+HERO_SIDE, TILE_SIDE = 512, 320  # longest sides in pixels, so that a report stays small enough to send
 MOST_VIEWS = 8
 COLUMNS = {1: "two", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "four", 8: "four", 9: "five"}
 STEPS = (
@@ -118,7 +118,7 @@ def _tile(alt: str, caption: str, pixels: np.ndarray, side: int) -> str:
 
 
 def _row(what: str, pictures: Sequence[Picture], side: int, columns: str) -> str:
-    """Return pictures side by side; `what`, before a picture's caption, is its alternative text."""
+    """Return pictures side by side. A picture's alternative text is `what` followed by its caption."""
     tiles = (_tile(f"{what} {each.caption}", each.caption, each.pixels, side) for each in pictures)
     return f'<div class="row {columns}">{"".join(tiles)}</div>'
 
@@ -176,10 +176,10 @@ def _object_masks(pictures: Sequence[Picture]) -> str:
     if not pictures:
         return ""
     return (
-        "<section><h2>The object that was found</h2><p>The capture has no masks, so MGSR found the object itself. Grey "
-        "is what it left out. The figure under a photograph says how well its mask agrees with the other "
-        "photographs&rsquo; masks; the photographs range from the worst to the best. To correct a mask, edit its file "
-        "in <code>masks/</code>, put the folder beside the photographs, and run again.</p>"
+        "<section><h2>The found object</h2><p>The capture has no masks, so MGSR found the object itself. Everything "
+        "else is grey. The figure under a photograph tells how well its mask agrees with the masks of the other "
+        "photographs. The photographs range from the worst to the best. To correct a mask, edit its file in "
+        "<code>masks/</code>, put the folder beside the photographs, and run again.</p>"
         f"{_row('Mask of', pictures, TILE_SIDE, 'three')}</section>"
     )
 
@@ -196,9 +196,9 @@ def _environment_map(pictures: Sequence[Picture]) -> str:
 
 
 def _light_alone(pixels: np.ndarray) -> np.ndarray:
-    """Return a picture uint8 [H,W,4] of the light in one over black [H,W,3], transparent where there is none.
+    """Convert a picture of light over black [H,W,3] to uint8 [H,W,4] that is transparent where there is no light.
 
-    It adds as much light as the given one. An opaque black would show at the rounded corners.
+    Added to another picture, it gives the same light. Opaque black would be visible at the rounded corners.
     """
     brightest = pixels[..., :3].max(axis=2, keepdims=True)
     straight = pixels[..., :3] / np.maximum(brightest / 255, 1 / 255)
@@ -299,7 +299,7 @@ def _curves(data: ReportData) -> str:
 
 
 def _boundaries(data: ReportData) -> list[Boundary]:
-    """Return where each stage begins: at the last row of the one before, the nearest that the curve knows."""
+    """Return the beginnings of the stages. In the curve, each is the last row of the stage before."""
     found = [Boundary(0.0, stage_name(data.curve[0].stage))]
     for before, row in zip(data.curve, data.curve[1:], strict=False):
         if row.stage != before.stage:
@@ -335,7 +335,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _worded_table(head: Sequence[str], rows: Sequence[tuple[str, str, str]]) -> str:
-    """Return a table of name, value and a sentence; on a narrow screen the sentence goes under the other two."""
+    """Return a table of name, value and a sentence. On a narrow screen, the sentence is below the other two."""
     top = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
     body = "".join(
         f'<tr><th scope="row">{escape(name)}</th><td class="n">{escape(value)}</td>'

@@ -1,4 +1,4 @@
-"""What the check before training found, as rows of a table, and a map of the cameras."""
+"""The findings of the check before training as rows of a table, and a map of the cameras."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-_NAMED = 12  # photographs that a row names
+_NAMED = 12  # the most photographs that a row names
 _WIDTH, _HEIGHT, _MARGIN = 620.0, 420.0, 24.0
 
 
 def finding_rows(inspection: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Return severity, amount, and the sentence with the photographs and the cure, of each finding."""
+    """Return for each finding its severity, its amount, and a sentence with the photographs and the remedy."""
     return [
         (str(found["severity"]), f"{found['amount']:g} {found['unit']}", _sentence(found))
         for found in inspection["findings"]
@@ -28,10 +28,10 @@ def _sentence(found: Mapping[str, Any]) -> str:
 
 
 def camera_map(inspection: Mapping[str, Any]) -> str:
-    """Return an SVG of the cameras' places, seen along the direction in which they differ least.
+    """Draw the cameras' places as an SVG, seen along the direction in which they vary least.
 
-    Cameras that an error or a warning names are filled; crosses are places where photographs are missing. Empty with
-    fewer than three photographs.
+    Cameras that an error or a warning names are filled. Crosses mark places where photographs are missing. Returns
+    empty text for fewer than three photographs.
     """
     photographs = inspection["photographs"]
     if len(photographs) < 3:
@@ -52,7 +52,7 @@ def camera_map(inspection: Mapping[str, Any]) -> str:
 
 
 def _flattened(cameras: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return points [P,3] in the picture [P,2]: along the two directions in which the cameras [C,3] differ most."""
+    """Project points [P,3] to the picture [P,2], along the two directions in which the cameras [C,3] vary most."""
     middle = cameras.mean(axis=0)
     axes = np.linalg.svd(cameras - middle, full_matrices=False)[2][:2]
     flat = (points - middle) @ axes.T

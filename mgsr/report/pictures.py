@@ -1,4 +1,4 @@
-"""The pictures of a report, and how plain arrays become such pictures."""
+"""The pictures of a report, and the conversion of arrays to such pictures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from mgsr.data.camera import Camera
 
-# Depth and distance, from near or none to far or much: light to dark, so that it also reads without colour.
+# The colours of depth and distance, from small to large. They go from light to dark, so they also work without colour.
 RAMP = np.array(
     [[252, 246, 219], [250, 214, 134], [245, 163, 78], [224, 101, 65], [176, 50, 80], [110, 25, 92], [44, 12, 66]],
     np.float32,
@@ -20,11 +20,10 @@ RAMP = np.array(
 class TestViewPictures:
     """The pictures of one test view.
 
-    Each is uint8 [H,W,3] or, with straight alpha, [H,W,4]; None where the method has none.
+    Each is uint8 [H,W,3] or, with straight alpha, [H,W,4], or None if the method has no such picture.
 
-    reflected is the weighted reflected light, weight x reflected, over black: added to transmitted it gives render.
-    unlit: the transmitted light as it would be without the flash, all sides lit alike. whole: the render before the
-    background of a found object.
+    reflected: weight x reflected over black; added to transmitted, it gives render. unlit: the transmitted light under
+    even light, without the flash. whole: the render of a found object in front of its background.
     """
 
     name: str
@@ -39,13 +38,13 @@ class TestViewPictures:
     unlit: np.ndarray | None = None
     whole: np.ndarray | None = None
 
-    # The name begins with "Test", but this is no test case.
+    # Tells pytest that the class is not a test case, although its name begins with "Test".
     __test__ = False
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture, uint8 [H,W,3] or [H,W,4], and the words under it."""
+    """A picture, uint8 [H,W,3] or [H,W,4], and its caption."""
 
     caption: str
     pixels: np.ndarray
@@ -88,10 +87,7 @@ def mask_picture(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 
 def color_picture(color: np.ndarray, alpha: np.ndarray | None = None) -> np.ndarray:
-    """Convert color [H,W,3] 0..1 to uint8 [H,W,3], or with alpha [H,W] 0..1 to uint8 [H,W,4].
-
-    With alpha, the colours are taken as straight ones.
-    """
+    """Convert color [H,W,3] 0..1 to uint8 [H,W,3], or with straight alpha [H,W] 0..1 to uint8 [H,W,4]."""
     channels = color if alpha is None else np.concatenate([color, alpha[..., None]], axis=-1)
     rounded: np.ndarray = np.clip(np.rint(np.nan_to_num(channels) * 255), 0, 255).astype(np.uint8)
     return rounded

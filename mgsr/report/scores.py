@@ -1,4 +1,4 @@
-"""The scores that a report explains: the name of each, its form, and its meaning in a sentence."""
+"""The scores that a report explains: their names, formats and meanings."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ SPLIT = (
 
 
 def scores_told(data: ReportData) -> Iterator[tuple[Score, str]]:
-    """Yield the scores that this run has, each with its value written out."""
+    """Yield the scores of a run, each with its formatted value."""
     split = {} if data.split is None else asdict(data.split)
     for scores, values in ((IMAGE, vars(data)), (SURFACE, data.gt or {}), (SPLIT, split)):
         for score in scores:

@@ -1,4 +1,4 @@
-"""Shaded pictures of a triangle mesh, by ray casting (Open3D's Embree): no window, no graphics driver."""
+"""Shaded pictures of a triangle mesh by ray casting (Open3D's Embree), without window and graphics driver."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ SIDES = (("front", 0), ("right", 90), ("back", 180), ("left", 270))
 ELEVATION = 18.0  # degrees above the horizon from which the sides are seen
 MOST_PIXELS = 512  # longest side of a picture
 OCCLUSION_RAYS = 12  # per sample; four samples make a pixel
-OCCLUSION_REACH = 0.35  # of the mesh's radius: what lies farther darkens nothing
-OCCLUSION_SPREAD = 4  # samples to either side that lend each other their rays, where the surface goes on evenly
+OCCLUSION_REACH = 0.35  # of the mesh's radius; farther surfaces darken nothing
+OCCLUSION_SPREAD = 4  # samples to either side over which occlusion is averaged on an even surface
 COPLANAR_NORMAL, COPLANAR_STEP = (
     0.9,
     0.01,
-)  # there: the least cosine between normals, and the most of the mesh's radius off
+)  # for an even surface: the least cosine between normals, and the largest distance off, in the mesh's radius
 
 
 @dataclass(frozen=True, eq=False)
 class PaintedMesh(Mesh):
-    """A mesh to be painted. colors [V,3]: sRGB 0..1, or None."""
+    """A mesh for painting. colors [V,3]: sRGB 0..1, or None."""
 
     colors: np.ndarray | None = None
 
@@ -52,7 +52,7 @@ class _Hits:
 
 
 class MeshPainter:
-    """A mesh, prepared to be painted from any camera in its frame."""
+    """A painter of a mesh from any camera in its frame."""
 
     def __init__(self, mesh: PaintedMesh) -> None:
         self._mesh = mesh
@@ -60,16 +60,16 @@ class MeshPainter:
         self.center, self.radius = bounding_ball(mesh.vertices)
 
     def shaded(self, camera: Camera) -> np.ndarray:
-        """Paint the mesh as pale clay in soft light from three sides, uint8 [H,W,4], transparent where nothing is.
+        """Paint the mesh as pale clay in soft light from three sides, uint8 [H,W,4], on transparent ground.
 
-        No side is over MOST_PIXELS.
+        No side has more than MOST_PIXELS.
         """
         return self.look(camera).clay()
 
     def look(self, camera: Camera) -> MeshLook:
         """Cast the camera's rays, and return the view for painting."""
         camera = _limited(camera)
-        # Four samples a pixel, for smooth outlines.
+        # Four samples per pixel give smooth outlines.
         hits = self._cast(camera.resized(2 * camera.width, 2 * camera.height))
         light = _three_lights(hits.normals, camera) * (0.35 + 0.65 * self._openness(hits))
         return MeshLook(hits, np.clip(light, 0, 1)[:, None])
@@ -88,18 +88,18 @@ class MeshPainter:
         colors = None if self._mesh.colors is None else (self._mesh.colors[corners] * weights).sum(1)
         unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         points = origins[hit] + depth[hit][:, None] * rays[hit]
-        # The face normal decides which side is visible: at an outline the smooth normal already points away.
+        # The face normal decides which side is visible, because at an outline the smooth normal already points away.
         return _Hits(hit, points, facets, _facing(unit, facets), colors)
 
     def _openness(self, hits: _Hits) -> np.ndarray:
-        """Return the share [P] of the directions over the surface in which nothing is near (ambient occlusion).
+        """Return the share [P] of directions above the surface without a near surface (ambient occlusion).
 
         The seed is fixed, so that the same mesh gives the same picture.
         """
         random = np.random.default_rng(0)
         starts = hits.points + 1e-3 * self.radius * hits.facets
         blocked = np.zeros(len(starts), np.float32)
-        # One direction of every sample at a time: all at once would take hundreds of MiB.
+        # Each step casts one ray per sample, because all rays at once would take hundreds of MiB.
         for _ in range(OCCLUSION_RAYS if len(starts) else 0):
             spread = random.standard_normal(starts.shape, np.float32)
             spread /= np.maximum(np.linalg.norm(spread, axis=1, keepdims=True), 1e-9)
@@ -113,22 +113,22 @@ class MeshPainter:
 class MeshLook:
     """One camera's view of a mesh, lit.
 
-    Each method gives a picture uint8 [H,W,4], transparent where nothing is.
+    Each method returns a picture uint8 [H,W,4] on transparent ground.
     """
 
     hits: _Hits
     light: np.ndarray
 
     def clay(self) -> np.ndarray:
-        """Paint the mesh in one pale colour, which shows the shape best; [H,W,4] uint8."""
+        """Paint the mesh in one pale colour, [H,W,4] uint8, which shows the shape best."""
         return _picture(CLAY * self.light, self.hits.hit)
 
     def colored(self) -> np.ndarray:
-        """Paint the mesh in its own colours, pale where it has none; [H,W,4] uint8."""
+        """Paint the mesh in its own colours, or in a pale colour if it has none, [H,W,4] uint8."""
         return _picture((CLAY if self.hits.colors is None else self.hits.colors) * self.light, self.hits.hit)
 
     def distances(self, truth: Mesh, limit: float) -> np.ndarray:
-        """Paint the mesh by its distance to `truth`, in the same frame, darkest from `limit` on; [H,W,4] uint8."""
+        """Paint the mesh by its distance to `truth` in the same frame, [H,W,4] uint8. From `limit` on it is darkest."""
         gap = _raycaster(truth).compute_distance(_tensor(self.hits.points)).numpy()
         return _picture(ramp(gap / limit) * (0.6 + 0.4 * self.light), self.hits.hit)
 
@@ -141,10 +141,10 @@ def surface_pictures(
     limit: float = 0.01,
     size: int = 320,
 ) -> SurfacePictures:
-    """Draw the mesh from four sides; with `truth` (in the same frame) also its distance to it.
+    """Draw the mesh from four sides, and with `truth` also its distance to the true mesh in the same frame.
 
-    limit: of the truth's bounding radius, where the distances' scale ends. up: direction [3]; viewer: a position [3]
-    that sees the front, such as a camera's.
+    limit: the end of the colour scale, as a share of the truth's bounding radius. up [3]: a direction. viewer [3]: a
+    position from which the front is visible, such as a camera's.
     """
     painter = MeshPainter(mesh)
     front = viewer - painter.center
@@ -170,7 +170,10 @@ def side_camera(vertices: np.ndarray, up: np.ndarray, front: np.ndarray, angle: 
 
 
 def level_front(up: np.ndarray, front: np.ndarray) -> np.ndarray:
-    """Return the unit direction [3] across up [3], unit, that is nearest to front [3]; any where front is along up."""
+    """Return the unit direction [3] perpendicular to the unit vector up [3] that is nearest to front [3].
+
+    If front is parallel to up, the result is any perpendicular direction.
+    """
     ahead = front - (front @ up) * up
     if np.linalg.norm(ahead) < 1e-6:
         ahead = np.cross(up, (1.0, 0.0, 0.0) if abs(up[0]) < 0.9 else (0.0, 1.0, 0.0))
@@ -178,7 +181,7 @@ def level_front(up: np.ndarray, front: np.ndarray) -> np.ndarray:
 
 
 def bounding_ball(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the centre [3] of the bounding box and the largest distance from there."""
+    """Return the centre [3] of the bounding box of points [P,3], and the largest distance from it."""
     center = (points.min(axis=0) + points.max(axis=0)) / 2
     return center, float(np.linalg.norm(points - center, axis=1).max())
 
@@ -200,26 +203,26 @@ def _limited(camera: Camera) -> Camera:
 
 
 def _facing(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Return the normals [P,3], flipped where they point against the directions [P,3]."""
+    """Flip the normals [P,3] that point against the directions [P,3]."""
     return np.where((normals * directions).sum(1, keepdims=True) < 0, -normals, normals)
 
 
 def _three_lights(normals: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return how bright [P] the lights make surfaces with the normals [P,3]; they hang on the camera."""
+    """Return the brightness [P] of surfaces with normals [P,3] under LIGHTS, which move with the camera."""
     local = normals @ camera.cam_from_world[:3, :3].T * (1, -1, -1)
     light = np.full(len(local), AMBIENT)
     for direction, strength in LIGHTS:
-        # Half Lambert: the light wraps round, so that no side falls into flat black.
+        # Half-Lambert shading wraps the light around the object, so that no side is flat black.
         cosine = local @ (np.array(direction) / np.linalg.norm(direction))
         light += strength * np.clip(0.5 + 0.5 * cosine, 0, 1) ** 1.5
     return light
 
 
 def _denoised(values: np.ndarray, hits: _Hits, step: float) -> np.ndarray:
-    """Smooth the values [P] of a camera's hits over the even surface around each: few rays a sample are grainy.
+    """Smooth the values [P] of a camera's hits over the even surface around each, since few rays per sample give noise.
 
-    The means are over OCCLUSION_SPREAD samples to either side, along rows and then columns. step: how far samples may
-    lie off each other's plane.
+    The means are over OCCLUSION_SPREAD samples to either side, along rows and then columns. step: the largest distance
+    of samples from each other's plane.
     """
 
     def image(of_hits: np.ndarray) -> np.ndarray:
@@ -236,7 +239,9 @@ def _denoised(values: np.ndarray, hits: _Hits, step: float) -> np.ndarray:
             here[axis], there[axis] = slice(None, -far), slice(far, None)
             one, other = tuple(here), tuple(there)
             apart = points[other] - points[one]
-            coplanar = np.einsum("hwi,hwi->hw", normals[one], normals[other]) > COPLANAR_NORMAL  # no hit has no normal
+            coplanar = (
+                np.einsum("hwi,hwi->hw", normals[one], normals[other]) > COPLANAR_NORMAL
+            )  # false without a hit, as its normal is zero
             coplanar &= np.abs(np.einsum("hwi,hwi->hw", normals[one], apart)) < step
             for mine, others in ((one, other), (other, one)):
                 total[mine] += np.where(coplanar, result[others], 0)
@@ -267,5 +272,5 @@ def _raycaster(mesh: Mesh) -> Any:
 
 
 def _tensor(values: np.ndarray) -> Any:
-    """Return an array [...] as Open3D's float32 tensor."""
+    """Convert an array [...] to a float32 tensor of Open3D."""
     return load_open3d().core.Tensor(np.ascontiguousarray(values, np.float32))

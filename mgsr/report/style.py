@@ -1,4 +1,4 @@
-"""The page's style sheet and its few lines of script."""
+"""The page's style sheet and script."""
 
 CSS = """
 :root{color-scheme:light dark;--bg:#fbfaf8;--card:#fff;--tile:#f1efeb;--ink:#22211f;--soft:#66625b;--line:#e3dfd8;
@@ -83,7 +83,7 @@ th,td{padding:8px 10px}.words tr{display:grid;grid-template-columns:1fr auto}.wo
 @media print{.wide{break-inside:avoid}}
 """
 
-# Without script the page shows the sum of both lights, and lacks only the slider's effect.
+# Without scripts, the page shows the sum of both lights, and only the slider has no effect.
 SCRIPT = """
 for(const s of document.querySelectorAll('input[data-fade]'))s.addEventListener('input',()=>{
 document.getElementById(s.dataset.fade).style.opacity=s.value/100})

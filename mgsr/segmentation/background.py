@@ -25,6 +25,7 @@ from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.support_plane import SupportPlane
 
 COLUMNS = 1024  # width of the coordinate maps for cv2.remap
+OUTSIDE = -9.0  # coordinate of points behind the camera, outside every image
 SAME = 1e-6  # ball radii; cameras closer than this are the same camera
 
 Window = tuple[slice, slice]
@@ -96,22 +97,22 @@ class BackgroundSources:
 
     def _samples(self, camera: Camera, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return median [P,3], spread [P] and known [P] of the background's colours at places [P,3]."""
-        colors = np.full((self.options.samples, len(places), 3), np.inf, np.float32)
+        colors = np.full((len(places), 3, self.options.samples), np.inf, np.float32)
         count, left = np.zeros(len(places), int), np.arange(len(places))
         for index in self._order(camera):
             color, clear = self._seen(index, places[left], self.clear[index])
             shown = left[clear]
-            colors[count[shown], shown] = color[clear]
+            colors[shown, :, count[shown]] = color[clear]
             count[shown] += 1
             left = left[count[left] < self.options.samples]
             if len(left) == 0:
                 break
-        middle = np.maximum((count - 1) // 2, 0)[None]
-        median = np.take_along_axis(np.sort(colors, axis=0), middle[..., None], 0)[0]
+        middle = np.maximum((count - 1) // 2, 0)[:, None]
+        median = np.take_along_axis(np.sort(colors, axis=-1), middle[..., None], -1)[..., 0]
         known = count >= self.options.min_samples
         median[~known] = 0
-        apart = np.where(np.isfinite(colors), np.abs(colors - median), np.inf).max(axis=-1)
-        spread = np.take_along_axis(np.sort(apart, axis=0), middle, 0)[0]
+        apart = np.abs(colors - median[..., None]).max(axis=1)  # infinite where there is no sample
+        spread = np.take_along_axis(np.sort(apart, axis=-1), middle, -1)[:, 0]
         return median, np.where(known, spread, np.float32(1)), known
 
     def _consistency(self, camera: Camera, own: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -166,26 +167,37 @@ class BackgroundSources:
             hit = camera.center + rays * np.where(np.isfinite(plane), plane, 0)[..., None]
             near = np.isfinite(plane) & (np.linalg.norm(hit, axis=-1) < self.options.plane_radius)
             depth = np.where(near & (plane < self.options.plane_first * depth), plane, depth)
-        return np.asarray(camera.center + rays * np.where(np.isfinite(depth), depth, self.options.far)[..., None])
+        depth = np.where(np.isfinite(depth), depth, self.options.far)
+        return np.asarray(camera.center + rays * depth[..., None], np.float32)
 
     def _seen(self, index: int, places: np.ndarray, allowed: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Sample a photograph at points [P,3] of the scene.
+        """Sample a photograph at points [P,3] float32 of the scene.
 
         allowed [H,W] uint8: 255 where the photograph may be sampled; None allows all of it. Returns the colours [P,3]
         sRGB 0..1, and which of the points it shows in an allowed place, [P] bool.
         """
         import cv2  # imported here, because training needs no OpenCV
 
-        pixels, depth = self.cameras[index].project(places)
-        pixels = np.where(depth[:, None] > 0, pixels - 0.5, -9)  # points behind the camera fall outside the image
+        matrix = _projection(self.cameras[index])
+        *across, depth = matrix[:, :3] @ places.T + matrix[:, 3:]
         # OpenCV takes maps of at most 32,767 rows or columns.
-        maps = np.full((-(-len(places) // COLUMNS) * COLUMNS, 2), -9, np.float32)
-        maps[: len(places)] = pixels
-        across, down = (maps[:, i].reshape(-1, COLUMNS) for i in (0, 1))
-        color = cv2.remap(self.images[index], across, down, cv2.INTER_LINEAR).reshape(-1, 3)[: len(places)]
+        maps = np.full((2, -(-len(places) // COLUMNS), COLUMNS), OUTSIDE, np.float32)
+        pixels = maps.reshape(2, -1)[:, : len(places)]
+        np.divide(across, depth, out=pixels, where=depth > 0)
+        color = cv2.remap(self.images[index], maps[0], maps[1], cv2.INTER_LINEAR).reshape(-1, 3)[: len(places)]
         if allowed is None:
             width, height = self.cameras[index].width, self.cameras[index].height
-            x, y = pixels.T
+            x, y = pixels
             return color / np.float32(255), (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-        clear = cv2.remap(allowed, across, down, cv2.INTER_LINEAR).ravel()
+        clear = cv2.remap(allowed, maps[0], maps[1], cv2.INTER_LINEAR).ravel()
         return color / np.float32(255), np.asarray(clear[: len(places)] == 255)
+
+
+def _projection(camera: Camera) -> np.ndarray:
+    """Return the matrix [3,4] float32 from the scene's frame to homogeneous coordinates of OpenCV's pixels.
+
+    OpenCV has the centre of the first pixel at 0.
+    """
+    K = camera.K.copy()
+    K[:2, 2] -= 0.5
+    return np.asarray(K @ camera.cam_from_world[:3], np.float32)

@@ -36,7 +36,7 @@ from mgsr.segmentation.background import BackgroundSources
 from mgsr.segmentation.color_models import ColorModels, color_models, near_on_plane
 from mgsr.segmentation.consensus import silhouette_distance, tolerant_hull
 from mgsr.segmentation.mattes import Matte, first_region, hull_region, matte
-from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
+from mgsr.segmentation.splat_labels import lifted_sums, pieces, some_surfels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane
 from mgsr.start.points import StartingPoints
 from mgsr.training.control import TrainingControl
@@ -153,6 +153,10 @@ class _Search:
         self.silhouettes: list[np.ndarray] | None = None
         columns = _columns(some_surfels(self._model, first.standing), first.plane, options.search.copies)
         self.masks = [ndimage.binary_fill_holes(_covered(columns, camera)) for camera in self._cameras]
+        self._blocked = self._not_background()
+        self._weights, hidden = self._lifted([np.ones_like(mask) for mask in self._blocked], self._blocked)
+        self._weights = self._weights.clip(1e-6)
+        self._hidden = hidden / self._weights
 
     def refine(self, dissent: float) -> None:
         """Update the masks from the labels, the hull from the masks, and the labels from the hull.
@@ -181,8 +185,13 @@ class _Search:
         caster = Mesh(*hull_surface(self._hull)).caster
         self.silhouettes = [silhouette_distance(caster, camera) for camera in self._cameras]
         inside = self._hull.values(self._model.means.numpy().astype(np.float64)) > -own.around * self._pixel
+        self._blocked = self._not_background()
         self._models = self._color_models(found)
-        self.labels = inside & (first.heights > own.raised * self._pixel) & self._certainly_object(found)
+        masks = [each.certain for each in found], [each.background_known for each in found], self._blocked
+        certain, known, self._hidden = self._lifted(*masks) / self._weights
+        # Most of an object surfel's pixels certainly hide the background, where that is known.
+        hides = (certain > own.certain * known) & (known > own.known)
+        self.labels = inside & (first.heights > own.raised * self._pixel) & hides
 
     def last_masks(self, train: Sequence[View], test: Sequence[View]) -> list[np.ndarray]:
         """Return the final masks [H,W] uint8, 0..255, of the training and then the test views.
@@ -218,6 +227,11 @@ class _Search:
         assert self._hull is not None
         return self._hull.box()
 
+    def _lifted(self, *masks: Sequence[np.ndarray]) -> np.ndarray:
+        """Lift up to three masks [H,W] bool of each small photograph to the surfels; see `lifted_sums`."""
+        stacked = [np.stack(each, axis=-1) for each in zip(*masks, strict=True)]
+        return lifted_sums(self._model, stacked, self._cameras).T
+
     def _sources(self, larger: Sequence[View] | None = None) -> BackgroundSources:
         """Return the sources of the background: whatever lies outside the masks and the hull's silhouettes.
 
@@ -225,11 +239,10 @@ class _Search:
         """
         import cv2  # imported here, because training needs no OpenCV
 
-        own, background, blocked = self._options.search, self._options.background, self._blocked()
-        lifted, _ = lifted_labels(self._model, [mask[..., None] for mask in blocked], self._cameras)
-        behind = ~self.labels & (lifted[:, 0] < 0.5) & (self._first.heights > -own.reflected * self._pixel)
+        own, background = self._options.search, self._options.background
+        behind = ~self.labels & (self._hidden < 0.5) & (self._first.heights > -own.reflected * self._pixel)
         surfels = some_surfels(self._model, behind)
-        clear: list[np.ndarray] = [255 * (~mask).astype(np.uint8) for mask in blocked]
+        clear: list[np.ndarray] = [255 * (~mask).astype(np.uint8) for mask in self._blocked]
         if larger is None:
             return BackgroundSources(self._cameras, self._images, clear, surfels, self._first.plane, background)
         cameras, images = [view.camera for view in larger], [view.image for view in larger]
@@ -239,7 +252,7 @@ class _Search:
         ]
         return BackgroundSources(cameras, images, clear, surfels, self._first.plane, background)
 
-    def _blocked(self) -> list[np.ndarray]:
+    def _not_background(self) -> list[np.ndarray]:
         """Return the pixels [H,W] bool of each photograph that do not count as background: mask and silhouette."""
         import cv2  # imported here, because training needs no OpenCV
 
@@ -262,19 +275,9 @@ class _Search:
         ]
         supports = [
             near_on_plane(camera, plane, box.mean(axis=0), reach) & ~blocked
-            for camera, blocked in zip(self._cameras, self._blocked(), strict=True)
+            for camera, blocked in zip(self._cameras, self._blocked, strict=True)
         ]
         return color_models(self._images, objects, supports, own)
-
-    def _certainly_object(self, found: Sequence[Matte]) -> np.ndarray:
-        """Return the surfels [N] bool whose pixels mostly hide the background for certain.
-
-        found: the mattes of the small photographs.
-        """
-        own = self._options.search
-        masks = [np.stack([each.certain, each.background_known], axis=-1) for each in found]
-        certain, known = lifted_labels(self._model, masks, self._cameras)[0].T
-        return np.asarray((certain > own.certain * known) & (known > own.known))
 
 
 def _columns(surfels: SurfelModel, plane: SupportPlane | None, copies: int) -> SurfelModel:

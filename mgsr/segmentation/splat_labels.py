@@ -1,4 +1,4 @@
-"""Segmentation of surfels: their connected pieces, and labels lifted from the photographs' masks."""
+"""Segmentation of surfels: their connected pieces, and masks lifted from the photographs."""
 
 from __future__ import annotations
 
@@ -36,13 +36,11 @@ def some_surfels(model: SurfelModel, chosen: np.ndarray) -> SurfelModel:
     return SurfelModel(**{name: tensor[rows] for name, tensor in model.parameters().items()})
 
 
-def lifted_labels(
-    model: SurfelModel, masks: Sequence[np.ndarray], cameras: Sequence[Camera]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Lift masks to the surfels: return each surfel's labels [N,K], 0..1, and the sum of its weights [N].
+def lifted_sums(model: SurfelModel, masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> np.ndarray:
+    """Return the sums [N,K] of masks over the pixels that a surfel covers, weighted by its blending weights there.
 
-    masks [H,W,K] bool or 0..1, one for each camera, K of 1 or 2. A label is the mean of the masks over the pixels that
-    the surfel covers. A pixel's weight is the surfel's blending weight there.
+    masks [H,W,K] bool or 0..1, one for each camera, K at most 3. Divided by the sum for a mask of ones, a surfel's sum
+    is its label, 0..1.
 
     Source: the closed-form optimum of Shen and others 2024 (FlashSplat). Rendering is linear in the colours, so the
     blending weights are its derivatives.
@@ -52,12 +50,11 @@ def lifted_labels(
         colors = torch.zeros(len(model), 1, 3, requires_grad=True)
         rendered = render_surfels(_labelled(model, colors), camera, torch.zeros(3), 0).color
         asked = torch.zeros_like(rendered)
-        asked[..., : mask.shape[-1]], asked[..., 2] = torch.from_numpy(mask.astype(np.float32)), 1.0
+        asked[..., : mask.shape[-1]] = torch.from_numpy(mask.astype(np.float32))
         (rendered * asked).sum().backward()
         assert colors.grad is not None
         total += colors.grad[:, 0] / SH_CONSTANT
-    weights = total[:, 2]
-    return (total[:, : masks[0].shape[-1]] / weights.clamp_min(1e-6)[:, None]).numpy(), weights.numpy()
+    return total[:, : masks[0].shape[-1]].numpy()
 
 
 def _labelled(model: SurfelModel, colors: Tensor) -> SurfelModel:

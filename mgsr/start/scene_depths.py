@@ -58,13 +58,16 @@ def scene_depths(
     """
     fine = scene_photographs(views, options)
     coarse = fine.reduced(options.coarser)
-    share = options.coarser**2 / (1 + options.coarser**2)  # of the work, for the larger photographs
-    settings = replace(stereo.match.settings, noise=options.noise, rounds=options.rounds)
-    match = replace(stereo.match, max_angle=options.max_angle, settings=settings)
+    work = options.coarser**2 * options.rounds, options.fine_rounds
+    share = work[0] / max(1, sum(work))  # of the work, for the smaller photographs
+    settings = replace(stereo.match.settings, noise=options.noise)
     consistency = replace(stereo.consistency, max_angle=options.max_angle, views=options.confirming_views)
     between = options.nearest, options.farthest
 
-    def search(photographs: StereoPhotographs, start: Callable[[int], Planes], begin: float, end: float) -> DepthMaps:
+    def search(
+        photographs: StereoPhotographs, start: Callable[[int], Planes], rounds: int, begin: float, end: float
+    ) -> DepthMaps:
+        match = replace(stereo.match, max_angle=options.max_angle, settings=replace(settings, rounds=rounds))
         ranges = [between] * len(photographs.cameras)
         maps = match_from(photographs, start, ranges, seed, match, lambda done: progress(begin + (end - begin) * done))
         return DepthMaps(photographs.cameras, maps, weigh(photographs, maps, consistency))
@@ -73,8 +76,8 @@ def scene_depths(
         size = coarse.images[view].shape[:2]
         return np.zeros(size), np.zeros((*size, 3))
 
-    first = search(coarse, unknown, 0.0, share)
-    return search(fine, lambda view: first.planes(view, fine.cameras[view]), share, 1.0)
+    first = search(coarse, unknown, options.rounds, 0.0, share)
+    return search(fine, lambda view: first.planes(view, fine.cameras[view]), options.fine_rounds, share, 1.0)
 
 
 def scene_photographs(views: Sequence[View], options: SceneStereoOptions) -> StereoPhotographs:

@@ -1,4 +1,4 @@
-"""A client of the service: sends a capture, follows its job, fetches the results."""
+"""A client of the service, which sends a capture, follows its job and fetches the results."""
 
 from service.client.api import Client, DamagedDownload, Job, ServiceRefusal
 from service.client.asynchronous import AsyncClient

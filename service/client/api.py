@@ -1,7 +1,7 @@
 """The service's API as method calls.
 
 Requests to an unavailable server are repeated. A repeat submits nothing twice, because each submit has an idempotency
-key. A large archive goes as a resumable upload (tus 1.0). A broken connection then costs only the bytes on their way.
+key. A large archive is sent as a resumable upload (tus 1.0), so a broken connection loses only the bytes in transit.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from service.client.packing import packed
 from service.client.unfinished import UnfinishedUploads, fingerprint
 
 CHUNK = 1 << 18
-# Larger archives go in requests of this size, because some proxies hold back a request until it is complete.
+# Larger archives are sent in requests of this size, because some proxies hold back a request until it is complete.
 REQUEST_BYTES = 32 << 20
 TRIES = 8
 _AGAIN = {429, 502, 503, 504}
 _GONE = {404, 410}  # the service does not have the upload, or a job has taken it
-_APPEND_AGAIN = _AGAIN | {408, 409}  # too slow; another offset
+_APPEND_AGAIN = _AGAIN | {408, 409}  # the request was too slow, or had a wrong offset
 _TUS = {"Tus-Resumable": "1.0.0"}
 
 Job = dict[str, Any]
@@ -52,7 +52,7 @@ class _TransferCounter:
 
 
 class ServiceRefusal(Exception):
-    """The service has answered with a problem. code: stable, for programs."""
+    """The service answered with a problem. code: a stable code for programs."""
 
     def __init__(self, status: int, code: str, detail: str) -> None:
         super().__init__(detail)
@@ -60,15 +60,15 @@ class ServiceRefusal(Exception):
 
 
 class DamagedDownload(Exception):
-    """A result file was damaged in transfer; the message names it."""
+    """A result file was damaged in transfer. The message names the file."""
 
 
 class Client:
     """A client of one service. Use it in a `with` block.
 
     Its methods raise ServiceRefusal, and httpx.HTTPError if the service does not answer for long. unfinished: the
-    folder for the addresses of interrupted uploads, which the same submit continues, also in another program. Without
-    a folder, an interrupted upload is deleted.
+    folder for the addresses of interrupted uploads. The same submit continues them, even in another process. Without a
+    folder, an interrupted upload is deleted.
     """
 
     def __init__(self, server: str, key: str | None = None, unfinished: Path | None = None) -> None:
@@ -154,18 +154,18 @@ class Client:
             refused = isinstance(error, ServiceRefusal) and error.status not in _APPEND_AGAIN
             if refused or not self._unfinished.kept:
                 self._unfinished.forget(name)
-                with suppress(httpx.HTTPError):  # then the service deletes it later
+                with suppress(httpx.HTTPError):  # if this fails, the service deletes it later
                     self._http.delete(address, headers=_TUS, timeout=5.0)
             raise
         self._unfinished.forget(name)
         return created
 
     def _arrived(self, address: str) -> int:
-        """Return the number of bytes of an upload that the service has."""
+        """Return the number of bytes of an upload that the service has received."""
         return int(_again(lambda: self._http.head(address, headers=_TUS)).headers["Upload-Offset"])
 
     def _send_parts(self, address: str, archive: Path, counter: _TransferCounter, arrived: int) -> None:
-        """Send the rest of an archive to an upload; after each break, continue where the service's bytes end."""
+        """Send the rest of an archive to an upload. After an error, continue where the service's bytes end."""
         failures = 0
         while arrived < counter.total:
             try:
@@ -187,9 +187,9 @@ class Client:
         return _check(self._http.patch(address, headers=headers, content=_chunks(archive, counter, end)))
 
     def rerun(self, job: str, options: Mapping[str, Any]) -> Job:
-        """Send the archive of an earlier job again, with these options in place of its own; return the new job.
+        """Submit the archive of an earlier job again with these options, and return the new job.
 
-        Options that are left out are as in the earlier job.
+        Options that are left out keep their values from the earlier job.
         """
         headers, params = {"Idempotency-Key": uuid.uuid4().hex}, {"options": json.dumps(options)}
         address = f"/jobs/{job}/rerun"
@@ -218,14 +218,14 @@ class Client:
         return state
 
     def artifacts(self, job: str) -> list[dict[str, Any]]:
-        """Return the result files: name, size, sha256."""
+        """Return the name, size and sha256 of each result file."""
         artifacts: list[dict[str, Any]] = _again(lambda: self._http.get(f"/jobs/{job}/artifacts")).json()["artifacts"]
         return artifacts
 
     def fetch(self, job: str, out: Path, got: Progress = ignore) -> list[Path]:
         """Fetch every result of a job into a folder, and return the files.
 
-        got: receives the numbers of fetched bytes and of all bytes. Raises DamagedDownload.
+        got: receives the numbers of fetched bytes and of all bytes. Raises DamagedDownload if a SHA-256 differs.
         """
         artifacts = self.artifacts(job)
         counter = _TransferCounter(sum(artifact["size"] for artifact in artifacts), got)
@@ -234,7 +234,7 @@ class Client:
         return [out / artifact["name"] for artifact in artifacts]
 
     def download(self, job: str, artifact: dict[str, Any], path: Path, got: Callable[[int], None]) -> None:
-        """Write a result file to `path` atomically, after its check; an interrupted download resumes.
+        """Download a result file, check it, and write it to `path` atomically. An interrupted download resumes.
 
         got: receives each chunk's size. Raises DamagedDownload if the SHA-256 differs.
         """
@@ -256,7 +256,7 @@ class Client:
         os.replace(partial, path)
 
     def _receive(self, address: str, file: BinaryIO, got: Callable[[int], None]) -> None:
-        """Append the missing bytes to the file."""
+        """Append the missing bytes of a download to the file."""
         begin = file.tell()
         headers = {"Range": f"bytes={begin}-"} if begin else {}
         plain = _again(lambda: self._http.send(self._http.build_request("GET", address, headers=headers), stream=True))
@@ -268,7 +268,7 @@ class Client:
             _append(_check(other), file, got)
 
     def follow(self, job: str) -> Iterator[Job]:
-        """Yield the job's changed fields, and the whole job last; resume if the connection ends."""
+        """Yield the job's changed fields, and last the whole job. Resumes if the connection breaks."""
         last, known = "", self.job(job)
         yield known
         while known["status"] in ("queued", "running"):
@@ -287,7 +287,7 @@ class Client:
 
 
 def _events(lines: Iterator[str]) -> Iterator[tuple[str, Job]]:
-    """Yield id and data of each event that changes the displayed state."""
+    """Yield the id and the data of each event that changes the displayed state."""
     number = kind = data = ""
     for line in lines:
         field, _, value = line.partition(": ")
@@ -314,12 +314,12 @@ def _append(answer: httpx.Response, file: BinaryIO, got: Callable[[int], None]) 
 
 
 def _pause(failures: int) -> float:
-    """Return the seconds to wait after so many failures in a row."""
+    """Return the seconds to wait after a number of failures in a row."""
     return min(0.5 * 2.0 ** (failures - 1), 8.0)
 
 
 def _again(send: Callable[[], httpx.Response]) -> httpx.Response:
-    """Return the answer, and repeat the request while the server is unavailable or busy. Raises the last error."""
+    """Send a request until the server is neither unavailable nor busy; return the answer or raise the last error."""
     for attempt in range(TRIES):
         try:
             answer = send()
@@ -349,7 +349,7 @@ def _body_headers(kind: str, size: int) -> dict[str, str]:
 
 
 def _chunks(path: Path, counter: _TransferCounter, end: int) -> Iterator[bytes]:
-    """Yield the file's bytes from where the counter stands up to `end`."""
+    """Yield the file's bytes from the counter's position up to `end`."""
     with path.open("rb") as file:
         file.seek(counter.done)
         while chunk := file.read(min(CHUNK, end - counter.done)):

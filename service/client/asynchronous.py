@@ -1,4 +1,4 @@
-"""The client for programs that use asyncio: the same methods, to be awaited. Each call works in a thread."""
+"""The client for programs that use asyncio: the same methods as coroutines. Each call runs in a thread."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from service.client.api import Client, Job, Progress, ignore
 
 
 class AsyncClient:
-    """A client of one service. Use it in `async with`. It raises the errors of Client.
+    """A client of one service. Use it in `async with`. It raises the errors of `Client`.
 
     Progress callbacks run in the thread of the event loop.
 
 
-    unfinished: as in Client.
+    unfinished: see `Client`.
     """
 
     def __init__(self, server: str, key: str | None = None, unfinished: Path | None = None) -> None:
@@ -33,7 +33,7 @@ class AsyncClient:
         return await asyncio.to_thread(self._client.submit, scene, options, _in_loop(sent))
 
     async def rerun(self, job: str, options: Mapping[str, Any]) -> Job:
-        """Send the archive of an earlier job again, with these options in place of its own; return the new job."""
+        """Submit the archive of an earlier job again with these options, and return the new job."""
         return await asyncio.to_thread(self._client.rerun, job, options)
 
     async def jobs(self, limit: int = 50) -> list[Job]:
@@ -53,7 +53,7 @@ class AsyncClient:
         return await asyncio.to_thread(self._client.cancel, job)
 
     async def follow(self, job: str) -> AsyncIterator[Job]:
-        """Yield the job's changed fields, and the whole job last; resume if the connection ends."""
+        """Yield the job's changed fields, and last the whole job. Resumes if the connection breaks."""
         states = self._client.follow(job)
         while (state := await asyncio.to_thread(next, states, None)) is not None:
             yield state

@@ -13,12 +13,15 @@ from service.contract.errors import SetupError
 
 @contextmanager
 def packed(scene: Path) -> Iterator[Path]:
-    """Yield the scene as one file: itself, or a folder's files in a zip, without hidden ones. Raises SetupError."""
+    """Yield the scene as one file: a file itself, or a zip of a folder's files, without hidden ones.
+
+    Raises SetupError if there is no scene.
+    """
     if scene.is_file():
         yield scene
         return
     if not scene.is_dir():
-        raise SetupError(f"{scene}: expected a folder or an archive of photographs, or a video, found nothing")
+        raise SetupError(f"{scene}: expected a folder or an archive of photographs, or a video, but it does not exist")
     with tempfile.NamedTemporaryFile(suffix=".zip") as made:
         with zipfile.ZipFile(made, "w", zipfile.ZIP_STORED) as target:  # photographs are compressed already
             for path in sorted(scene.rglob("*")):

@@ -24,7 +24,7 @@ _NAMED = 3  # photographs that the line of a finding names
 
 
 def submit_scene(server: str, key: str | None, scene: Path, options: JobOptions, out: Path | None) -> int:
-    """Send the scene and return the program's exit code.
+    """Send a scene, and return the program's exit code.
 
     With `out`, wait for the job and put its results there. Raises SetupError if the scene can't be sent or the service
     refuses it.
@@ -40,9 +40,9 @@ def submit_scene(server: str, key: str | None, scene: Path, options: JobOptions,
 
 
 def rerun_job(server: str, key: str | None, job: str, options: dict[str, Any], out: Path | None) -> int:
-    """Run an earlier job again with some other options, and return the program's exit code.
+    """Run an earlier job again with other options, and return the program's exit code.
 
-    With `out`, wait for the new job and put its results there. Raises SetupError where the service refuses it.
+    With `out`, wait for the new job and put its results there. Raises SetupError if the service refuses it.
     """
 
     def talk(client: Client, console: Console) -> int:
@@ -52,7 +52,7 @@ def rerun_job(server: str, key: str | None, job: str, options: dict[str, Any], o
 
 
 def list_jobs(server: str, key: str | None, limit: int) -> int:
-    """Print the newest jobs, one a line, and return the program's exit code. Raises SetupError."""
+    """Print the newest jobs, one per line, and return the exit code. Raises SetupError if the service refuses."""
 
     def talk(client: Client, console: Console) -> int:
         for job in client.jobs(limit):
@@ -63,7 +63,7 @@ def list_jobs(server: str, key: str | None, limit: int) -> int:
 
 
 def pin_job(server: str, key: str | None, job: str, pinned: bool) -> int:
-    """Pin or unpin a job, print it, and return the program's exit code. Raises SetupError."""
+    """Pin or unpin a job, print it, and return the exit code. Raises SetupError if the service refuses."""
 
     def talk(client: Client, console: Console) -> int:
         console.print(_job_line(client.pin(job, pinned)), soft_wrap=True, markup=False)
@@ -73,12 +73,12 @@ def pin_job(server: str, key: str | None, job: str, pinned: bool) -> int:
 
 
 def fetch_job(server: str, key: str | None, job: str, out: Path) -> int:
-    """Follow an earlier job, put its results into `out`, and return the program's exit code. Raises SetupError."""
+    """Follow a job, put its results into `out`, and return the exit code. Raises SetupError if the service refuses."""
     return _talk(server, key, lambda client, console: _wait(client, job, out, console))
 
 
 def _talk(server: str, key: str | None, talk: Callable[[Client, Console], int]) -> int:
-    """Talk with a service and return the exit code. Raises SetupError with a message for the user if it fails."""
+    """Call `talk` with a client, and return its exit code. Raises SetupError for errors of the service."""
     console = Console(highlight=False)
     try:
         with Client(server, key, default_folder()) as client:
@@ -105,14 +105,14 @@ def _send(client: Client, scene: Path, options: JobOptions, console: Console) ->
 
 @contextmanager
 def _transfer(what: str, console: Console) -> Iterator[Callable[[int, int], None]]:
-    """Show the progress of a transfer; yield a callback for the numbers of transferred bytes and of all bytes."""
+    """Show the progress of a transfer. Yields a callback for the numbers of transferred bytes and of all bytes."""
     with Progress(TextColumn(what), BarColumn(), DownloadColumn(), console=console, transient=True) as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def _sent(job: Job, client: Client, server: str, out: Path | None, console: Console) -> int:
-    """Print the name of a submitted job, and with `out` wait for its results."""
+    """Print the id of a submitted job, and with `out` wait for its results."""
     console.print(f"job {job['id']}: {server.rstrip('/')}/jobs/{job['id']}", soft_wrap=True)
     return 0 if out is None else _wait(client, job["id"], out, console)
 
@@ -137,7 +137,7 @@ def _wait(client: Client, job: str, out: Path, console: Console) -> int:
 def _job_line(job: Job) -> str:
     stays = "pinned" if job["pinned"] else ""
     if job["expires"] is not None:
-        stays = f"goes {datetime.fromisoformat(job['expires']).astimezone():%Y-%m-%d %H:%M}"
+        stays = f"expires {datetime.fromisoformat(job['expires']).astimezone():%Y-%m-%d %H:%M}"
     parts = (job["id"], f"{job['status']:9}", job["created"][:16].replace("T", " "), stays, job["name"] or "")
     return "  ".join(part for part in parts if part)
 

@@ -1,4 +1,4 @@
-"""The addresses of unfinished uploads, kept in a folder so that a later program can continue them."""
+"""The addresses of unfinished uploads, kept in a folder so that a later process can continue them."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ _FORGOTTEN = 30 * 86400.0  # seconds after which an address is deleted; services
 
 
 def default_folder() -> Path:
-    """Return where `mgsr submit` keeps the addresses: by the XDG rule, ~/.local/state/mgsr/uploads."""
+    """Return the folder in which `mgsr submit` keeps the addresses: ~/.local/state/mgsr/uploads, by the XDG rules."""
     return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state") / "mgsr/uploads"
 
 
 class UnfinishedUploads:
     """The addresses of unfinished uploads by their fingerprints, each in a small file.
 
-    folder: it is made when needed; None keeps nothing. If it can't be written, uploads work but can't be resumed.
+    folder: created when needed; None keeps nothing. If it can't be written, uploads work but can't be resumed.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -27,11 +27,11 @@ class UnfinishedUploads:
 
     @property
     def kept(self) -> bool:
-        """Return whether addresses are kept at all."""
+        """Return whether addresses are kept."""
         return self._folder is not None
 
     def find(self, fingerprint: str) -> str | None:
-        """Return the address of an upload, None for an unknown one."""
+        """Return the address of an upload, or None if it is unknown."""
         if self._folder is None:
             return None
         try:
@@ -40,7 +40,7 @@ class UnfinishedUploads:
             return None
 
     def keep(self, fingerprint: str, address: str) -> None:
-        """Note an upload, and delete notes that are a month old."""
+        """Keep the address of an upload, and delete addresses that are a month old."""
         if self._folder is None:
             return
         with suppress(OSError):
@@ -51,7 +51,7 @@ class UnfinishedUploads:
             (self._folder / fingerprint).write_text(address)
 
     def forget(self, fingerprint: str) -> None:
-        """Delete a note."""
+        """Delete the address of an upload."""
         if self._folder is not None:
             with suppress(OSError):
                 (self._folder / fingerprint).unlink()

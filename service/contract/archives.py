@@ -1,4 +1,4 @@
-"""Archives in the store: each is one object, or the folder of parts that a resumable upload leaves.
+"""Archives in the store. Each is one object, or the folder of a resumable upload's parts.
 
 uploads/<job>.<upload>                     an archive uploaded in one request
 uploads/<job>.<upload>/<begin>.<random>    a part of a resumable upload; begin: the offset of its first byte
@@ -16,7 +16,7 @@ from pathlib import Path
 from service.contract.store import Entry, Store
 
 FOLDER = "uploads"
-# If no job names an archive after so many seconds, its service was killed during the upload.
+# If no job names an archive after this many seconds, its service was killed during the upload.
 STALE_SECONDS = 6 * 3600.0
 _COPIES_AT_ONCE = 8
 
@@ -27,7 +27,7 @@ def archive_path(job: str, upload: str) -> str:
 
 
 def new_part(archive: str, begin: int) -> str:
-    """Return a key for a part whose first byte has the offset `begin`. Each call returns another key."""
+    """Return a new key for a part whose first byte has the offset `begin`. Each call returns another key."""
     return f"{archive}/{begin:015d}.{secrets.token_hex(4)}"
 
 
@@ -38,7 +38,7 @@ class Archives:
         self._store = store
 
     def parts(self, archive: str) -> list[Entry]:
-        """Return the parts in their order, without gaps from byte 0 on; none for an archive of one object.
+        """Return the parts that follow each other without gaps from byte 0 on; none if the archive is one object.
 
         A broken connection and its successor may write parts that begin at the same byte. The longest of them counts.
         """
@@ -58,7 +58,7 @@ class Archives:
         self._store.download(path, *([part.key for part in self.parts(archive)] or [archive]))
 
     def copy(self, archive: str, target: str) -> bool:
-        """Copy an archive, and return True; return False where there is none."""
+        """Copy an archive, and return whether it existed."""
         parts = self.parts(archive)
         if not parts:
             return self._store.copy(archive, target)
@@ -72,7 +72,7 @@ class Archives:
         self._store.delete(archive)
 
     def sweep(self, wanted: Callable[[str], bool]) -> None:
-        """Delete stale archives, complete or not, that are not wanted. Killed services have left them."""
+        """Delete stale archives that are not wanted, complete or not. They come from killed services."""
         self._store.delete_unfinished(FOLDER, STALE_SECONDS)
         touched: dict[str, float] = defaultdict(float)
         for entry in self._store.entries(FOLDER):

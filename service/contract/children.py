@@ -1,4 +1,4 @@
-"""Programs that a process starts, keeps running and ends: the parts of `mgsr serve`, the workers of several cards."""
+"""Child programs that a process starts, keeps running and stops: the parts of `mgsr serve`, the workers of GPUs."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from types import FrameType
 from service.contract.errors import SetupError
 
 RESTART_PAUSE = 0.5
-# A child that dies so often within a minute is given up.
+# A child that dies this often within a minute is not restarted.
 MOST_DEATHS = 10
 LOOK = 0.2
 
 
 class Stop(Exception):
-    """A request to end, raised by a signal."""
+    """A request to stop, raised by a signal handler."""
 
 
 @dataclass
 class Child:
-    """A program that is kept running. patience: the seconds that it has to end when asked to."""
+    """A program that is kept running. patience: the seconds that it gets to stop on request."""
 
     name: str
     command: list[str]
@@ -35,12 +35,12 @@ class Child:
     deaths: list[float] = field(default_factory=list)
 
     def start(self) -> None:
-        """Start it, tied to this process, in a separate session, so that Ctrl-C reaches this process alone."""
+        """Start the program, tied to this process. It has its own session, so Ctrl-C reaches only this process."""
         tied = [sys.executable, "-m", "service.contract.lifeline", str(os.getpid()), *self.command]
         self.process = subprocess.Popen(tied, env=os.environ | self.environment, start_new_session=True)
 
     def revive(self) -> None:
-        """Start it again if it has died. Raises SetupError if it keeps dying."""
+        """Restart the program if it has died. Raises SetupError if it keeps dying."""
         if self.process is None or self.process.poll() is None:
             return
         now = time.monotonic()
@@ -54,7 +54,7 @@ class Child:
         self.start()
 
     def stop(self, at_once: bool) -> None:
-        """Ask it to end unless `at_once`, then kill it if it still runs."""
+        """Ask the program to stop unless `at_once`, then kill it if it still runs."""
         if self.process is None or self.process.poll() is not None:
             return
         if not at_once:

@@ -1,4 +1,4 @@
-"""Errors around jobs, and how the programs report them."""
+"""The errors of service and worker, and how their programs report them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _EXTRAS = "fastapi uvicorn redis rq obstore pydantic_settings python_multipart p
 
 
 class SetupError(Exception):
-    """A setting is wrong, or the machine lacks something. The message tells the user of the program the remedy."""
+    """A setting is wrong, or the machine lacks something. The message tells the user the remedy."""
 
 
 class StoreError(Exception):
@@ -22,7 +22,7 @@ class StoreError(Exception):
 
 @contextmanager
 def refusals() -> Iterator[None]:
-    """End the program with exit code 2 and one message for errors of setup, store and queue inside the block."""
+    """Turn errors of setup, store and queue inside the block into one message and exit code 2."""
     try:
         yield
     except (SetupError, StoreError) as error:

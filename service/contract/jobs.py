@@ -28,16 +28,16 @@ from service.contract.resumable import archives_on_the_way
 from service.contract.store import Store
 
 _END_OF_TIME = 10**13
-# Results that a rerun takes over, files and folders: found cameras, the object's masks, and its background. The worker
-# puts them into the new job's results before it begins.
+# The result files and folders that a rerun takes over: found cameras, the object's masks, and its background. The
+# worker puts them into the new job's results before it begins.
 FOUND_CAMERAS = ("cameras/",)
 FOUND_OBJECT = ("object.json", "masks/", "splats_background.ply")
-TAKEN_OVER = 0  # the attempt under which they lie
+TAKEN_OVER = 0  # the number of the attempt that holds them
 
 
 @dataclass(frozen=True)
 class JobState:
-    """A job and its state according to the store. status is None while only the queue knows it."""
+    """A job and its state according to the store. status: None while only the queue knows it."""
 
     record: JobRecord
     round: int
@@ -53,7 +53,7 @@ class Jobs:
         self.store, self.archives = store, Archives(store)
 
     def create(self, record: JobRecord) -> JobRecord:
-        """File a new job; return the filed job, which is the earlier one if the id exists."""
+        """File a new job. Returns the job on file, which is an earlier one if the id exists."""
         # The mark is written before the record. If this process dies in between, recovery finds the job by the mark.
         self.mark_open(record.id, 0)
         if not self.store.create(_path(record.id, "job.json"), record.to_bytes()):
@@ -88,25 +88,25 @@ class Jobs:
         return None if data is None else Outcome.model_validate_json(data)
 
     def finish(self, job: str, number: int, outcome: Outcome) -> bool:
-        """End a round and return True; if it has already ended, do nothing and return False."""
+        """Record the outcome of a round. Returns False, without a change, if the round has already ended."""
         record = self.record(job)
         if record is not None and record.options.webhook is not None:
-            self.store.replace(f"webhooks/{job}.{number}", b"")  # before the outcome: dying in between loses no message
+            self.store.replace(f"webhooks/{job}.{number}", b"")  # first, so that a crash in between loses no message
         won = self.store.create(_path(job, f"outcomes/{number}.json"), outcome.to_bytes())
         self.store.delete(f"open/{job}.{number}")
         return won
 
     def untold_rounds(self) -> list[tuple[str, int]]:
-        """Return job and round of each end of which the owner must still be notified by webhook."""
+        """Return job and round of each outcome of which a webhook must still notify the owner."""
         found = [name.partition(".") for name in self.store.names("webhooks")]
         return [(job, int(number)) for job, _, number in found]
 
     def mark_notified(self, job: str, number: int) -> None:
-        """Note that the owner knows of a round's end, or can't be told."""
+        """Record that the owner was notified of a round's end, or can't be."""
         self.store.delete(f"webhooks/{job}.{number}")
 
     def ask_cancel(self, job: str, number: int) -> None:
-        """Note that a round should stop."""
+        """Record that a round should stop."""
         self.store.replace(_path(job, f"cancels/{number}"), b"")
 
     def cancel_asked(self, job: str, number: int) -> bool:
@@ -114,12 +114,12 @@ class Jobs:
         return self.store.read(_path(job, f"cancels/{number}")) is not None
 
     def ask_retry(self, job: str, number: int) -> None:
-        """Open round `number`; asking twice has no further effect."""
+        """Open round `number`. A second call has no effect."""
         self.mark_open(job, number)
         self.store.replace(_path(job, f"rounds/{number}"), b"")
 
     def cancel_now(self, job: str, number: int) -> bool:
-        """End a round as cancelled if no worker works on it; return whether it was still open."""
+        """End a round as cancelled, and return whether it was still open. No worker may be working on it."""
         return self.finish(job, number, Outcome(status=JobStatus.CANCELLED, attempt=None, finished=now()))
 
     def pin(self, job: str, pinned: bool) -> None:
@@ -138,7 +138,10 @@ class Jobs:
         return attempt
 
     def take_over(self, source: str, job: str, results: tuple[str, ...]) -> None:
-        """Copy the results of these names, or folders ending in /, from the newest attempt of a job that has them."""
+        """Copy results from the newest attempt of `source` that has them.
+
+        results: names of files, or of folders ending in /.
+        """
         found = _path(source, "attempts/")
         held: dict[int, list[str]] = {}
         for name in self.store.names(found):
@@ -151,7 +154,7 @@ class Jobs:
                 self.store.copy(attempt_path(source, newest, result), attempt_path(job, TAKEN_OVER, result))
 
     def end_attempt(self, job: str, attempt: int) -> None:
-        """Note that an attempt ended regularly without an outcome, so that it does not count as lost."""
+        """Record that an attempt ended regularly without an outcome, so that it does not count as lost."""
         self.store.replace(attempt_path(job, attempt, "end"), b"")
 
     def attempts(self, job: str) -> dict[int, AttemptStart]:
@@ -162,7 +165,7 @@ class Jobs:
         return {number: AttemptStart.model_validate_json(data) for number, data in found.items() if data is not None}
 
     def lost_attempts(self, job: str, number: int) -> int:
-        """Return how many attempts of a round died without a record of their end."""
+        """Return the number of a round's attempts that died without a record of their end."""
         started = [attempt for attempt, start in self.attempts(job).items() if start.round == number]
         return sum(self.store.read(attempt_path(job, attempt, "end")) is None for attempt in started)
 
@@ -181,14 +184,14 @@ class Jobs:
         return len({job for job, _, _ in self.open_rounds()}.intersection(self.owned(owner)))
 
     def index(self, record: JobRecord) -> None:
-        """Enter the job in its owner's list; entering it twice has no further effect."""
+        """Enter the job in its owner's list. A second call has no effect."""
         self.store.replace(_index_path(record), b"")
 
     def remove(self, record: JobRecord) -> None:
         """Remove all files of a job that has ended.
 
-        Large files are removed first, then the job itself. So another call completes an interrupted removal. The
-        outcomes are removed last, because without them the job would count as open.
+        Large files are removed first, then the job itself, so that another call can complete an interrupted removal.
+        The outcomes are removed last, because without them the job would count as open.
         """
         self.archives.delete(record.archive)
         self.store.delete_all(_path(record.id, "attempts"))
@@ -217,7 +220,7 @@ class Jobs:
         return sum(entry.size for entry in itertools.chain(archives, files))
 
     def sweep_uploads(self) -> None:
-        """Remove stale archives that no job names, left by services that were killed during an upload."""
+        """Remove stale archives that no job names. They come from services that were killed during an upload."""
         arriving = archives_on_the_way(self.store)
 
         def wanted(archive: str) -> bool:

@@ -1,4 +1,4 @@
-"""Children that die with their parent, even when it is killed without warning."""
+"""Tie child processes to their parent, so that they die with it even if it is killed."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ _PR_SET_PDEATHSIG = 1
 
 
 def die_with_parent(parent: int, number: signal.Signals = signal.SIGKILL) -> None:
-    """Have the kernel send this process `number` when its parent ends; end now if `parent` is gone already.
+    """Make the kernel send this process a signal when its parent ends. Exits now if `parent` is gone already.
 
-    On systems other than Linux nothing happens. The setting outlasts exec.
+    number: the signal. The setting outlasts exec. It has no effect on systems other than Linux.
     """
     if not sys.platform.startswith("linux"):
         return
@@ -25,7 +25,7 @@ def die_with_parent(parent: int, number: signal.Signals = signal.SIGKILL) -> Non
 
 
 def main() -> None:
-    """Become the program that the arguments name, tied to the parent.
+    """Replace this process by the program in the arguments, tied to the parent.
 
     python -m service.contract.lifeline PARENT PROGRAM ARGUMENT...
     """

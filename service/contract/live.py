@@ -11,7 +11,7 @@ from redis.typing import EncodableT, FieldT
 EVENTS_KEPT = 2000
 LIVE_SECONDS = 7 * 86400
 
-# Each script is atomic. Between separate commands, a lease could run out or change its holder.
+# Scripts are atomic. Between separate commands, a lease could expire or change its holder.
 _TAKE = """
 local holder = redis.call('get', KEYS[1])
 if holder and holder ~= ARGV[1] then return 0 end
@@ -22,12 +22,12 @@ _RELEASE = "if redis.call('get', KEYS[1]) == ARGV[1] then return redis.call('del
 
 
 def lease_key(job: str) -> str:
-    """Return the key of a job's lease, held by the worker that works on it."""
+    """Return the key of a job's lease, which the job's worker holds."""
     return f"mgsr:lease:{job}"
 
 
 def progress_key(job: str) -> str:
-    """Return the key of the job's last progress, JSON."""
+    """Return the key of the job's last progress, as JSON."""
     return f"mgsr:progress:{job}"
 
 
@@ -42,7 +42,7 @@ def cancel_key(job: str, number: int) -> str:
 
 
 class Live:
-    """Access to these keys. Every method raises redis.RedisError if the server doesn't answer."""
+    """The state of running jobs. Every method raises redis.RedisError if the server doesn't answer."""
 
     def __init__(self, redis: Redis) -> None:
         self.redis = redis
@@ -50,14 +50,14 @@ class Live:
         self._release = redis.register_script(_RELEASE)
 
     def take_lease(self, job: str, holder: str, seconds: float) -> bool:
-        """Take the job's lease if it is free, or `holder`'s already; return whether it was taken.
+        """Take or renew the job's lease. Returns False if another holder has it.
 
         The lease lasts for `seconds` from now.
         """
         return bool(self._take(keys=[lease_key(job)], args=[holder, round(seconds * 1000)]))
 
     def release_lease(self, job: str, holder: str) -> None:
-        """Release the lease, if it is the holder's."""
+        """Release the lease if `holder` has it."""
         self._release(keys=[lease_key(job)], args=[holder])
 
     def leased(self, job: str) -> bool:
@@ -78,7 +78,7 @@ class Live:
         return found
 
     def keep_progress(self, job: str, whole: dict[str, Any], change: dict[str, Any]) -> None:
-        """Keep the job's progress, and publish the change without the long curve."""
+        """Store the job's whole progress, and publish the change without the long curve."""
         self.redis.set(progress_key(job), json.dumps(whole), ex=LIVE_SECONDS)
         self.publish(job, "progress", {name: value for name, value in change.items() if name != "curve"})
 

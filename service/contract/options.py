@@ -1,7 +1,7 @@
-"""What a job may ask for, checked without loading the library.
+"""The options of a job, checked without loading the library.
 
-`library.json`, which `python -m worker.describe` writes and a test compares, describes the library's settings. What
-only the library can judge, the worker refuses as `bad_option`.
+`library.json` describes the library's settings. `python -m worker.describe` writes it, and a test compares it with the
+library. Errors that only the library can find reach the user from the worker, as `bad_option`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PRESETS: dict[str, dict[str, str]] = LIBRARY["presets"]
 METHODS: dict[str, dict[str, str]] = LIBRARY["methods"]
 RENAMED: dict[str, str] = LIBRARY["renamed"]
 SETTINGS: dict[str, dict[str, Any]] = LIBRARY["settings"]
-EXPERT = "expert."  # what the names of the algorithms' options begin with
+EXPERT = "expert."  # the prefix of the algorithms' options
 
 Preset = StrEnum("Preset", {name.upper(): name for name in PRESETS})  # type: ignore[misc]
 Method = StrEnum("Method", {"M_" + name.upper(): name for name in METHODS})  # type: ignore[misc]
@@ -33,7 +33,7 @@ _SWITCHES = {"on": True, "true": True, "off": False, "false": False}
 
 
 class Device(StrEnum):
-    """auto: what the worker that takes the job has; cuda: a worker with a card."""
+    """auto: any worker, on the GPU if it has one. cuda: only a worker with a GPU."""
 
     AUTO = "auto"
     CPU = "cpu"
@@ -41,7 +41,7 @@ class Device(StrEnum):
 
 
 class JobOptions(BaseModel):
-    """What to make of the capture."""
+    """The options of a job."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -73,7 +73,10 @@ class JobOptions(BaseModel):
     ] = None
     dry_run: Annotated[
         bool,
-        Field(description="Only check the photographs, and estimate seconds and memory of each preset; no results."),
+        Field(
+            description="Only check the photographs, and estimate the seconds and the memory of each preset. There are "
+            "no results."
+        ),
     ] = False
     settings: Annotated[
         dict[str, SettingValue],
@@ -89,18 +92,18 @@ class JobOptions(BaseModel):
     @classmethod
     def _callable_address(cls, webhook: str | None) -> str | None:
         if webhook is not None and (not urlsplit(webhook).hostname or urlsplit(webhook).port == 0):
-            raise ValueError("expected an address like https://host/path")
+            raise ValueError("expected an address such as https://host/path")
         return webhook
 
     def overrides(self) -> list[str]:
-        """Return the settings as the library takes them."""
+        """Return the settings in the form that the library takes."""
         return [f"{key}={_as_text(value)}" for key, value in self.settings.items()]
 
 
 def find_setting(key: str) -> str:
-    """Return the full name of the setting that a full name, or its end, means (`data.max_side`, `max_side`).
+    """Return the full name of a setting, given its full name or the end of it (`data.max_side`, `max_side`).
 
-    Options of algorithms give way to settings that users set.
+    If the end of a name fits both a user setting and an option of an algorithm, it means the user setting.
 
     Raises ValueError for a setting that does not exist, with similar names, or that is ambiguous.
     """
@@ -112,21 +115,21 @@ def find_setting(key: str) -> str:
         raise ValueError(f"setting {key!r} is ambiguous: use one of {', '.join(hits)}")
     if (name := _renamed(key[:100])) != key[:100]:
         raise ValueError(f"setting {key[:100]!r} does not exist; use {name!r}")
-    last = {path.rpartition(".")[2]: path for path in reversed(SETTINGS)}  # the first ones are those that users set
+    last = {path.rpartition(".")[2]: path for path in reversed(SETTINGS)}  # reversed, as user settings come first
     near = [last[name] for name in difflib.get_close_matches(key.rpartition(".")[2], last, n=3, cutoff=0.5)]
     hint = f"did you mean {', '.join(near)}?" if near else "GET /options lists all settings"
     raise ValueError(f"setting {key[:100]!r} does not exist; {hint}")
 
 
 def _renamed(key: str) -> str:
-    """Return a key with each name of RENAMED in it replaced; the key itself where it has none."""
+    """Replace each name of RENAMED in a key."""
     for name, new in RENAMED.items():
         key = re.sub(rf"(?<![^.]){re.escape(name)}(?![^.])", new, key)
     return key
 
 
 def parse_setting(text: str) -> tuple[str, SettingValue]:
-    """Parse a command line's KEY=VALUE into full name and value. Raises ValueError."""
+    """Parse a command line's KEY=VALUE into full name and value. Raises ValueError if it is invalid."""
     key, equals, value = text.partition("=")
     if not equals:
         raise ValueError(f"{text}: expected KEY=VALUE, for example masks=off")
@@ -135,7 +138,7 @@ def parse_setting(text: str) -> tuple[str, SettingValue]:
 
 
 def _parse(text: str, schemas: list[dict[str, Any]]) -> SettingValue:
-    """Return the text as the first type that can read it; the text itself where none can."""
+    """Convert the text by the first schema that can read it. If none can, return the text itself."""
     for schema in schemas:
         try:
             match schema["type"]:
@@ -153,7 +156,7 @@ def _parse(text: str, schemas: list[dict[str, Any]]) -> SettingValue:
 
 
 def _checked(key: str, value: SettingValue) -> SettingValue:
-    """Return the value, if it fits the setting. Raises ValueError with what was expected."""
+    """Return the value if it is valid for the setting. Raises ValueError with the expected values otherwise."""
     schemas = _alternatives(find_setting(key))
     if any(_fits(value, schema) for schema in schemas):
         return value

@@ -1,4 +1,4 @@
-"""The queue: RQ with its JSON serializer, and only ids as arguments. recovery.py restores entries that are lost."""
+"""The queue: RQ with its JSON serializer, and only ids as arguments. recovery.py restores lost entries."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ANSWER_SECONDS = 5.0
 
 
 def connect(url: str) -> Redis:
-    """Return a client with a time-out, so that a server that doesn't answer is not waited for forever."""
+    """Return a client with a time-out, so that it doesn't wait forever for a server that doesn't answer."""
     retry = Retry(ExponentialBackoff(cap=0.5, base=0.05), 2)
     return Redis.from_url(
         url, socket_timeout=ANSWER_SECONDS, socket_connect_timeout=2.0, health_check_interval=15, retry=retry
@@ -29,7 +29,7 @@ def connect(url: str) -> Redis:
 def queue_for(options: JobOptions) -> str:
     """Return the name of a job's queue.
 
-    Jobs that ask for a card wait for a worker with a card. All others can go to any worker.
+    Jobs that request a GPU wait for a worker with a GPU. Any worker can take the others.
     """
     return GPU if options.device is Device.CUDA else CPU
 
@@ -42,9 +42,9 @@ class JobQueue:
         self.queues = {name: open_queue(name, redis) for name in QUEUES}
 
     def put(self, job: str, number: int, queue: str, first: bool = False) -> None:
-        """Append a round, or put it first if it has waited before.
+        """Append a round to the queue, or put it first if it has waited before.
 
-        Leases ensure that a round is worked on once, even if it is in the queue twice.
+        Leases ensure that only one worker processes a round, even if it is in the queue twice.
         """
         self.queues[queue].enqueue_call(
             TASK,
@@ -57,7 +57,7 @@ class JobQueue:
         )
 
     def waiting(self) -> dict[tuple[str, int], int]:
-        """Return the place in its queue, from 1, of each job and round that waits."""
+        """Return the place in its queue, from 1, of each waiting round, by job and round."""
         places: dict[tuple[str, int], int] = {}
         for queue in self.queues.values():
             for place, entry in enumerate(queue.get_job_ids(), start=1):
@@ -66,14 +66,14 @@ class JobQueue:
         return places
 
     def lengths(self) -> dict[str, int]:
-        """Return how many rounds wait, by queue."""
+        """Return the number of waiting rounds, by queue."""
         return {name: queue.count for name, queue in self.queues.items()}
 
     def workers(self) -> int:
-        """Return how many workers have reported within the last minutes."""
+        """Return the number of workers that reported within the last minutes."""
         return Worker.count(connection=self._redis)
 
 
 def open_queue(name: str, redis: Redis) -> Queue:
-    """Return an RQ queue as service and workers use it."""
+    """Return an RQ queue with the settings that service and workers share."""
     return Queue(name, connection=redis, serializer=JSONSerializer)

@@ -1,4 +1,4 @@
-"""The documents that make up a job. All but previews, log and checkpoint are written once and never changed."""
+"""The documents of a job. All but previews, log and checkpoint are written once and never changed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from service.contract.options import JobOptions
 
 
 class JobStatus(StrEnum):
-    """Where a job is; the last three are final, until a retry."""
+    """The status of a job. The last three are final, until a retry."""
 
     QUEUED = "queued"
     RUNNING = "running"
@@ -28,12 +28,12 @@ class Document(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     def to_bytes(self) -> bytes:
-        """Return the document as it lies in the store."""
+        """Return the document in its form in the store."""
         return self.model_dump_json(indent=1).encode()
 
 
 class JobRecord(Document):
-    """What was asked for: job.json."""
+    """The request of a job: job.json."""
 
     id: str
     owner: str
@@ -41,13 +41,13 @@ class JobRecord(Document):
     options: JobOptions
     archive: str  # key in the store
     archive_bytes: int
-    payload_sha256: str  # of archive and options: what an idempotency key stands for
+    payload_sha256: str  # of archive and options; an idempotency key belongs to one such hash
     traceparent: str | None = None  # of the submit's span (W3C Trace Context)
     rerun_of: str | None = None  # the job whose archive this one took over
 
 
 class Failure(Document):
-    """Why a job failed. code: stable, for programs; message: for the user, with the cure."""
+    """Why a job failed. code: a stable code for programs. message: for the user, with the remedy."""
 
     code: str = Field(examples=["bad_scene"])
     message: str
@@ -56,7 +56,7 @@ class Failure(Document):
 
 
 class Artifact(Document):
-    """One result file of an attempt."""
+    """A result file of an attempt."""
 
     name: str = Field(examples=["mesh.ply"])
     size: int
@@ -65,9 +65,9 @@ class Artifact(Document):
 
 
 class Outcome(Document):
-    """How one round of a job (a submit or a retry) ended.
+    """The outcome of a round of a job, which is a submit or a retry.
 
-    With status succeeded it is the manifest that publishes the attempt's artifacts.
+    With status succeeded, it is the manifest that publishes the attempt's artifacts.
     """
 
     status: JobStatus
@@ -80,7 +80,7 @@ class Outcome(Document):
 
 
 class AttemptStart(Document):
-    """That a worker took up a round."""
+    """The start of an attempt: a worker took up a round."""
 
     round: int
     worker: str

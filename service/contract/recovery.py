@@ -15,7 +15,7 @@ from service.contract.live import Live
 from service.contract.queue import JobQueue, queue_for
 
 PERIOD = 3.0  # seconds between two checks
-# A round is lost if two checks, so many seconds apart, find it without a worker and without a place in the queue. A
+# A round is lost if two checks, this many seconds apart, find it without a worker and without a place in the queue. A
 # single check may see a round that is just being dequeued, or whose worker has not yet returned to a restarted Redis.
 GRACE = 6.0
 ABANDONED_SUBMIT = 3600.0

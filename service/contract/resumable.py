@@ -1,6 +1,6 @@
 """Uploads that arrive in several requests, until a job takes them.
 
-resumable/<owner>/<upload>.json    the upload's record; its parts lie at the place of the job's archive (archives.py)
+resumable/<owner>/<upload>.json    the upload's record; its parts are in the folder of the job's archive (archives.py)
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ class UploadRecord(Document):
 
     @property
     def archive(self) -> str:
-        """Return where its bytes lie."""
+        """Return the key of the archive that holds its bytes."""
         return archive_path(self.job, self.id)
 
 
 @dataclass(frozen=True)
 class UploadState:
-    """An upload and the number of bytes that have arrived. expires: when it is deleted, unless more arrives."""
+    """An upload and the number of received bytes. expires: when it is deleted, unless more bytes arrive."""
 
     record: UploadRecord
     offset: int
@@ -50,7 +50,7 @@ class UploadState:
 
     @property
     def complete(self) -> bool:
-        """Return whether all has arrived."""
+        """Return whether all bytes have arrived."""
         return self.offset == self.record.size
 
     @property
@@ -86,7 +86,7 @@ class ResumableUploads:
         return list(self._records(f"{FOLDER}/{owner}"))
 
     def taken(self, record: UploadRecord) -> None:
-        """Note that a job has the archive now."""
+        """Delete the record of an upload whose archive a job has taken."""
         self._store.delete(_path(record.owner, record.id))
 
     def remove(self, record: UploadRecord) -> None:
@@ -112,13 +112,13 @@ class ResumableUploads:
 
 
 def archives_on_the_way(store: Store) -> set[str]:
-    """Return where the bytes of all unfinished uploads lie."""
+    """Return the keys of the archives of all unfinished uploads."""
     names = (name.removesuffix(".json").split("/") for name in store.names(FOLDER))
     return {archive_path(job_of(owner, upload), upload) for owner, upload in names}
 
 
 def job_of(owner: str, upload: str) -> str:
-    """Return the id of the job that takes an upload. There is one at most."""
+    """Return the id of the only job that can take an upload."""
     return hashlib.sha256(f"{owner}\0upload {upload}".encode()).hexdigest()[:32]
 
 

@@ -1,4 +1,4 @@
-"""How long jobs are kept after their end. Without a retention they stay until their owner removes them."""
+"""The retention of jobs after their end. Without a retention, they stay until their owner removes them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from service.contract.records import now
 
 
 def expiry(state: JobState, seconds: float | None) -> datetime | None:
-    """Return when a job is deleted; None for an open or a pinned job, and without a retention."""
+    """Return when a job is deleted, or None for an open or pinned job, and without a retention."""
     if seconds is None or state.outcome is None or state.pinned:
         return None
     return state.outcome.finished + timedelta(seconds=seconds)
@@ -27,15 +27,15 @@ class Retention:
         self._jobs, self._seconds = jobs, seconds
 
     def due(self) -> Iterator[JobState]:
-        """Yield the jobs whose time is over. Raises StoreError."""
+        """Yield the jobs whose retention is over. Raises StoreError."""
         for job in self._jobs.created_before(now() - timedelta(seconds=self._seconds)):
             state = self._jobs.state(job)
             if state is not None and (end := expiry(state, self._seconds)) is not None and end < now():
                 yield state
 
     def remove_due(self, live: Live) -> None:
-        """Remove the jobs whose time is over, with their files. Raises StoreError."""
+        """Remove the jobs whose retention is over, with their files. Raises StoreError."""
         for state in self.due():
             self._jobs.remove(state.record)
-            with suppress(RedisError):  # it runs out by itself
+            with suppress(RedisError):  # the state expires by itself
                 live.forget(state.record.id)

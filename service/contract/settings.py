@@ -14,12 +14,12 @@ GIB = 1 << 30
 
 
 def default_home() -> Path:
-    """Return where a person's own service keeps everything: by the XDG rule, ~/.local/share/mgsr."""
+    """Return the folder in which a user's own service keeps its data: ~/.local/share/mgsr, by the XDG rules."""
     return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local/share") / "mgsr"
 
 
 def machine_memory() -> int:
-    """Return the memory, bytes, of this process's machine, or of its container."""
+    """Return the memory in bytes of this machine, or of this process's container."""
     physical = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     try:
         limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
@@ -65,7 +65,7 @@ class Settings(BaseSettings):
     publish_patience: float = 900.0  # time for which a worker tries to send results to a store that doesn't answer
 
     def need_redis(self) -> str:
-        """Return the queue server's address. Raises SetupError where none is set."""
+        """Return the queue server's address. Raises SetupError if none is set."""
         if self.redis_url is None:
             raise SetupError(
                 "MGSR_REDIS_URL is not set; set it to the address of the Redis server (redis://host:6379/0), or use "

@@ -17,13 +17,13 @@ from obstore.store import LocalStore, S3Store
 
 from service.contract.errors import StoreError
 
-PART = 5 << 20  # bytes; the smallest part that S3 takes, and what one upload holds in memory
+PART = 5 << 20  # bytes that one upload holds in memory; S3 takes no smaller parts
 SIGNED_SECONDS = 900
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One object of a listing."""
+    """An object in a listing."""
 
     key: str
     size: int
@@ -57,9 +57,9 @@ class Store:
                 return None
 
     def create(self, key: str, data: bytes) -> bool:
-        """Write an object that must not exist yet; return whether it now holds this data.
+        """Write an object unless it exists, and return whether the key holds this data afterwards.
 
-        If the answer to a request gets lost, the repeated request finds its own object. That counts as created.
+        If the answer to a request gets lost, the repeated request finds its own object. That counts as written.
         """
         with _failures(key):
             try:
@@ -74,7 +74,7 @@ class Store:
             obstore.put(self._backend, key, data)
 
     def copy(self, key: str, target: str) -> bool:
-        """Copy an object to another key, and return True; return False where there is none."""
+        """Copy an object to another key, and return whether it existed."""
         with _failures(key):
             try:
                 obstore.copy(self._backend, key, target)
@@ -91,7 +91,7 @@ class Store:
                 return
 
     def delete_all(self, prefix: str) -> None:
-        """Delete every object under `prefix`; in a folder also the unfinished files of killed processes."""
+        """Delete every object under `prefix`. In a folder, also delete the unfinished files of killed processes."""
         for entry in list(self.entries(prefix)):
             self.delete(entry.key)
         if self.folder is not None:
@@ -120,12 +120,12 @@ class Store:
         return [entry.key.removeprefix(prefix).lstrip("/") for entry in self.entries(prefix)]
 
     def upload(self, key: str, path: Path) -> None:
-        """Write a file's content to an object, in parts where it is large."""
+        """Write a file's content to an object, in several parts if it is large."""
         with _failures(key):
             obstore.put(self._backend, key, path, chunk_size=PART, max_concurrency=2)
 
     def download(self, path: Path, *keys: str) -> None:
-        """Write objects, one after another, to a file. Raises StoreError if one does not exist."""
+        """Write objects to a file, one after another. Raises StoreError if one does not exist."""
         with open(path, "wb") as file:
             for key in keys:
                 with _failures(key):
@@ -150,7 +150,7 @@ class Store:
                 yield bytes(chunk)
 
     def signed_url(self, key: str) -> str | None:
-        """Return a URL from which anyone can get the object for a while; None if the store is a folder."""
+        """Return a URL at which anyone can get the object for SIGNED_SECONDS, or None if the store is a folder."""
         if not isinstance(self._backend, S3Store):
             return None
         with _failures(key):

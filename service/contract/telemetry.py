@@ -1,7 +1,7 @@
-"""OpenTelemetry traces, where the extra `mgsr[telemetry]` is installed and an endpoint is set.
+"""OpenTelemetry traces, which need the extra `mgsr[telemetry]` and an endpoint.
 
-A job's record keeps the place of its submit in the trace. So every attempt at it, on any machine and after any loss of
-the queue, belongs to the same trace. OpenTelemetry's own variables set endpoint, headers and sampling.
+A job's record keeps the span of its submit. So all attempts belong to the same trace, on any machine and after any loss
+of the queue. OpenTelemetry's own variables set endpoint, headers and sampling.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ ENDPOINTS = ("OTEL_EXPORTER_OTLP_TRACES_ENDPOINT", "OTEL_EXPORTER_OTLP_ENDPOINT"
 
 
 def open_telemetry(program: str) -> TracerProvider | None:
-    """Return the tracer provider that sends this program's spans; None where no endpoint is set.
+    """Return the tracer provider that sends this program's spans, or None if no endpoint is set.
 
-    Raises SetupError where the packages are missing.
+    Raises SetupError if the packages are missing.
     """
     if not any(os.environ.get(name) for name in ENDPOINTS):
         return None
@@ -40,7 +40,7 @@ def open_telemetry(program: str) -> TracerProvider | None:
 
 
 def current_traceparent() -> str | None:
-    """Return the current span as W3C `traceparent`; None outside of any."""
+    """Return the current span as W3C `traceparent`, or None without a span."""
     try:
         from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
     except ModuleNotFoundError:

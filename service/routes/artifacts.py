@@ -22,12 +22,13 @@ from service.snapshots import Snapshot
 
 router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
 
-# Names that stand for the first of these files that is there.
+# Names that stand for the first of these files that exists.
 ALIASES = {"splats.ply": ("splats_3d.ply", "splats_2d.ply")}
 BINARY = "application/octet-stream"
 SINGLE = {
     "mesh.ply": BINARY,
     "model.glb": "model/gltf-binary",
+    "model_draco.glb": "model/gltf-binary",
     "model.usdz": "model/vnd.usdz+zip",
     "environment.exr": "image/x-exr",
     "splats.ply": BINARY,
@@ -45,12 +46,12 @@ class ArtifactList(BaseModel):
 
 
 def _file(kind: str) -> dict[int | str, dict[str, Any]]:
-    """Return the documentation of a route that sends a file of a media type."""
+    """Return the documentation of a route that sends a file of media type `kind`."""
     schema = {"type": "object"} if kind == "application/json" else {"type": "string", "format": "binary"}
     content = {kind: {"schema": schema}}
     return {
         200: {"description": "The file.", "content": content},
-        206: {"description": "The part that Range requests.", "content": content},
+        206: {"description": "The requested range.", "content": content},
         304: {"description": "The content is unchanged since the given ETag."},
         307: {"description": "The file is at this address for 15 minutes."},
         **answers(404, 416, 422),
@@ -67,7 +68,7 @@ Redirect = Annotated[
 
 @router.get("/artifacts", responses=answers(404, 422))
 async def list_artifacts(snapshot: SnapshotDep) -> ArtifactList:
-    """List every result file with its size and SHA-256; each lies at /jobs/{job_id}/artifacts/{name}."""
+    """List every result file with its size and SHA-256. Get each at /jobs/{job_id}/artifacts/{name}."""
     return ArtifactList(artifacts=_published(snapshot))
 
 
@@ -104,7 +105,7 @@ async def get_render(
     responses={200: {"description": "The log.", "content": {"text/plain": {}}}, **answers(404, 422)},
 )
 async def get_log(snapshot: SnapshotDep, parts: PartsDep) -> Response:
-    """Get the log of the last attempt, also while it runs."""
+    """Get the log of the last attempt, even while it runs."""
     data = await _from_last_attempt(parts, snapshot, "log.txt")
     return Response(data, media_type="text/plain; charset=utf-8", headers={"Cache-Control": "no-cache"})
 
@@ -126,7 +127,7 @@ async def get_preview(
 ) -> Response:
     """Get a preview of a view: `render`, `normals`, `transmitted` or `reflected`, refreshed during training.
 
-    `photographs` and `masks` are the sheets that GET .../photographs describes.
+    `photographs` and `masks` are the sheets that `GET .../photographs` describes.
     """
     return _tagged(await _from_last_attempt(parts, snapshot, f"previews/{name}.webp"), "image/webp", if_none_match)
 
@@ -137,14 +138,14 @@ async def get_preview(
     responses={304: {"description": "The content is unchanged since the given ETag."}, **answers(404, 422)},
 )
 async def get_photographs(snapshot: SnapshotDep, parts: PartsDep, if_none_match: IfNoneMatch = None) -> Response:
-    """Get the photographs that were checked, with their cameras. Small pictures of them are at previews/."""
+    """Get the checked photographs with their cameras. `previews/photographs` has small pictures of them."""
     data = await _from_last_attempt(parts, snapshot, "previews/photographs.json")
     checked = CheckedPhotographs.model_validate_json(data).model_dump_json().encode()
     return _tagged(checked, "application/json", if_none_match)
 
 
 def _add_single(file: str, kind: str) -> None:
-    """Add a route of its own for a file that people ask for by name."""
+    """Add a separate route for a file that people request by name."""
 
     async def get_file(
         snapshot: SnapshotDep,
@@ -235,7 +236,7 @@ async def _from_last_attempt(parts: Parts, snapshot: Snapshot, name: str) -> byt
 
 
 def _tagged(data: bytes, kind: str, if_none_match: str | None) -> Response:
-    """Return an answer with a tag by which the caller may ask for changes; 304 where it knows the content."""
+    """Return the content with an ETag, or 304 if the caller already has this content."""
     headers = {"ETag": f'"{hashlib.sha256(data).hexdigest()[:32]}"', "Cache-Control": "no-cache"}
     if if_none_match is not None and headers["ETag"] in if_none_match:
         return Response(status_code=304, headers=headers)

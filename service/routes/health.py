@@ -1,4 +1,4 @@
-"""/healthz, /readyz, /metrics: for those who run the service."""
+"""/healthz, /readyz, /metrics: for operators of the service."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ class Health(BaseModel):
 
 
 class Readiness(Health):
-    """workers: how many listen to the queues. Without any, jobs are taken and wait."""
+    """The readiness of the service. workers: the number of workers. Without workers, jobs are accepted and wait."""
 
     workers: int
 
 
 @router.get("/healthz")
 async def healthz() -> Health:
-    """Tell whether this process answers."""
+    """Check that this process answers."""
     return Health()
 
 
 @router.get("/readyz", responses={503: answers(503)[503]})
 async def readyz(parts: PartsDep) -> Readiness:
-    """Tell whether store and queue answer."""
+    """Check that store and queue answer."""
     return Readiness(workers=await run_in_threadpool(_check, parts))
 
 

@@ -1,4 +1,4 @@
-"""/jobs: submit, list, look, cancel, retry, rerun, follow."""
+"""/jobs: submit, list, get, cancel, retry, rerun, remove, pin and follow jobs."""
 
 from __future__ import annotations
 
@@ -80,12 +80,13 @@ IdempotencyKey = Annotated[
     Header(
         min_length=1,
         max_length=255,
-        description="The same key with the same archive and options gives the same job; with others, 422.",
+        description="A repeated request with the same key, archive and options returns the same job. The same key with "
+        "another archive or other options returns 422.",
     ),
 ]
 RerunQuery = Annotated[
     str | None,
-    Query(max_length=16384, description="JobOptions as JSON text; what it leaves out is as in the earlier job."),
+    Query(max_length=16384, description="JobOptions as JSON text. Missing options are those of the earlier job."),
 ]
 
 
@@ -104,7 +105,7 @@ async def submit(
     options: OptionsQuery = None,
     dry_run: DryRunQuery = False,
 ) -> Response:
-    """Submit a capture: an archive (zip, tar, tar.gz, tar.zst) of photographs, or a video, and what to make of it."""
+    """Submit a capture, which is an archive (zip, tar, tar.gz, tar.zst) of photographs or a video, with options."""
     asked = parse_options(options)
     check_webhook(asked, parts)
     await _check_request_room(request, owner, parts)
@@ -155,7 +156,7 @@ async def list_jobs(
 async def get_job(
     snapshot: SnapshotDep, if_none_match: Annotated[str | None, Header(max_length=1000)] = None
 ) -> Response:
-    """Get a job: its status, the time that it may still take, and any error."""
+    """Get a job: its status, its progress, the estimated time left, and any error."""
     return poll_answer(snapshot, if_none_match)
 
 
@@ -166,7 +167,7 @@ async def get_job(
     responses={200: {"model": JobView, "description": "Cancelled."}, **answers(404, 409, 422)},
 )
 async def cancel(snapshot: SnapshotDep, parts: PartsDep) -> Response:
-    """Cancel a job. One that runs is stopped within seconds, keeps its checkpoint, and can be retried."""
+    """Cancel a job. A running job stops within seconds, keeps its checkpoint, and can be retried."""
     job, number = snapshot.state.record.id, snapshot.state.round
     state = await run_in_threadpool(parts.jobs.state, job)
     assert state is not None
@@ -187,7 +188,7 @@ async def cancel(snapshot: SnapshotDep, parts: PartsDep) -> Response:
     responses={202: {"description": "The job, which is queued again.", "headers": LOCATION}, **answers(404, 409, 422)},
 )
 async def retry(snapshot: SnapshotDep, parts: PartsDep) -> Response:
-    """Take up a job that failed or was cancelled, from its last checkpoint."""
+    """Retry a job that failed or was cancelled, from its last checkpoint."""
     job = snapshot.state.record.id
     state = await run_in_threadpool(parts.jobs.state, job)
     assert state is not None
@@ -210,7 +211,7 @@ async def retry(snapshot: SnapshotDep, parts: PartsDep) -> Response:
     response_model=JobView,
     status_code=202,
     responses={
-        202: {"description": "The new job, queued.", "headers": LOCATION},
+        202: {"description": "The new job, which is queued.", "headers": LOCATION},
         **answers(404, 410, 413, 422, 429, 507),
     },
 )
@@ -221,7 +222,7 @@ async def rerun(
     idempotency_key: IdempotencyKey = None,
     options: RerunQuery = None,
 ) -> Response:
-    """Submit the archive of an earlier job again, with other options. Found cameras and masks are taken over."""
+    """Submit the archive of an earlier job again with other options. Found cameras and masks are reused."""
     source = snapshot.state.record
     asked = _changed_options(source.options, options)
     check_webhook(asked, parts)
@@ -252,13 +253,13 @@ async def remove(snapshot: SnapshotDep, parts: PartsDep) -> None:
 
 @router.put("/{job_id}/pin", response_model=JobView, responses=answers(404, 422))
 async def pin(snapshot: SnapshotDep, parts: PartsDep) -> Response:
-    """Keep a job, however long ago it ended, until it is unpinned or removed."""
+    """Keep a job beyond the retention, until it is unpinned or removed."""
     return await _set_pin(snapshot, parts, True)
 
 
 @router.delete("/{job_id}/pin", response_model=JobView, responses=answers(404, 422))
 async def unpin(snapshot: SnapshotDep, parts: PartsDep) -> Response:
-    """Let a job go after its retention, like others."""
+    """Unpin a job, so that it is deleted after the retention."""
     return await _set_pin(snapshot, parts, False)
 
 
@@ -279,7 +280,7 @@ async def events(
     parts: PartsDep,
     last_event_id: Annotated[str | None, Header(max_length=50, pattern=EVENT_ID.pattern + "$")] = None,
 ) -> StreamingResponse:
-    """Follow a job by server-sent events until it ends. Last-Event-ID brings what was missed."""
+    """Follow a job by server-sent events until it ends. With Last-Event-ID, missed events are sent again."""
     return StreamingResponse(
         parts.hub.follow(snapshot, last_event_id),
         media_type="text/event-stream",
@@ -294,28 +295,28 @@ async def _set_pin(snapshot: Snapshot, parts: Parts, pinned: bool) -> Response:
 
 
 def _changed_options(earlier: JobOptions, text: str | None) -> JobOptions:
-    """Return an earlier job's options with those that the JSON text has. Raises Problem.
+    """Return an earlier job's options, updated with those in the JSON text. Raises Problem if they are invalid.
 
-    A dry run is followed by a run, unless the text asks for another one.
+    The rerun of a dry run is a real run, unless the text requests another dry run.
     """
     changes = parse_options(text).model_dump(mode="json", exclude_unset=True)
     return JobOptions.model_validate(earlier.model_dump(mode="json") | {"dry_run": False} | changes)
 
 
 async def _check_request_room(request: Request, owner: str, parts: Parts) -> None:
-    """Raise Problem where the request is too large, or its owner may not submit it now."""
+    """Raise Problem if the request is too large, or its owner may not submit it now."""
     limit = parts.settings.max_upload
     text = request.headers.get("content-length", "0")
     length = int(text) if text.isascii() and text.isdigit() else 0
-    if length > limit + (1 << 20):  # the multipart frame around it
+    if length > limit + (1 << 20):  # with an allowance for the multipart frame
         raise too_large(limit)
     await check_room(length, owner, parts)
 
 
 def _job_id(owner: str, idempotency_key: str | None) -> str:
-    """Return a new id; for an idempotency key, always the same one.
+    """Return a new job id. With an idempotency key it is always the same.
 
-    The store's create-only write then decides between two submits.
+    Of two submits with the same id, the store's create-only write accepts one.
     """
     if idempotency_key is None:
         return new_id()
@@ -344,16 +345,16 @@ def _rerun_record(job: str, source: JobRecord, options: JobOptions) -> JobRecord
 
 
 def _file_rerun(parts: Parts, source: JobRecord, record: JobRecord) -> JobRecord:
-    """File a job with a copy of another's archive and found results; return the job on file.
+    """File a job with copies of another job's archive and found results. Returns the job on file.
 
-    Raises Problem where the archive is gone.
+    Raises Problem if the archive is gone.
     """
     earlier = parts.jobs.record(record.id)
     if earlier is not None:
         return earlier
     if not parts.jobs.archives.copy(source.archive, record.archive):
         raise Problem(
-            410, "archive_gone", f"the archive of job {source.id} is not in the store any more; submit it again"
+            410, "archive_gone", f"the archive of job {source.id} was deleted from the store; submit it again"
         )
     parts.jobs.take_over(source.id, record.id, FOUND_CAMERAS)
     if _same_object(source.options, record.options):
@@ -362,9 +363,9 @@ def _file_rerun(parts: Parts, source: JobRecord, record: JobRecord) -> JobRecord
 
 
 def _same_object(one: JobOptions, other: JobOptions) -> bool:
-    """Return whether the object's masks of one job fit the photographs as another reads them.
+    """Return whether the object masks of one job also fit another job with these options.
 
-    A time budget may reduce the photographs.
+    With other settings of reading, or a time budget, the photographs may have another size.
     """
     read = [
         {name: value for name, value in options.settings.items() if name.startswith("data.")}
@@ -374,7 +375,7 @@ def _same_object(one: JobOptions, other: JobOptions) -> bool:
 
 
 def _cancel(parts: Parts, job: str, number: int) -> None:
-    """Ask for a cancel, in the store for good and in Redis for speed; cancel at once where no worker has the job."""
+    """Request a cancel, durably in the store and quickly in Redis. If no worker has the job, cancel it at once."""
     parts.jobs.ask_cancel(job, number)
     try:
         parts.live.ask_cancel(job, number)
@@ -382,7 +383,7 @@ def _cancel(parts: Parts, job: str, number: int) -> None:
             parts.jobs.cancel_now(job, number)
             parts.live.publish(job, "status", {"status": JobStatus.CANCELLED, "round": number})
     except RedisError:
-        return  # recovery ends it once the server is back
+        return  # recovery ends the round once the server is back
 
 
 def _remove(parts: Parts, record: JobRecord) -> None:
@@ -390,4 +391,4 @@ def _remove(parts: Parts, record: JobRecord) -> None:
     try:
         parts.live.forget(record.id)
     except RedisError:
-        return  # it runs out by itself
+        return  # the state expires by itself

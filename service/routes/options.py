@@ -1,4 +1,4 @@
-"""/options: what a job may ask for."""
+"""/options: the options of jobs."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from service.contract.options import EXPERT, METHODS, PRESETS, SETTINGS, JobOpti
 from service.parts import OwnerDep, PartsDep
 from service.problems import answers
 
-# Settings that only reproduce the paper's rows, and the options of algorithms: a form has no place for them.
+# Prefixes of settings that no form needs: those that only reproduce the paper's rows, and the options of algorithms.
 UNLISTED = ("train.paper.", EXPERT)
 
 router = APIRouter(tags=["options"])
 
 
 class OptionsView(BaseModel):
-    """Everything that the options of a job can be."""
+    """The options of jobs, with presets, methods and settings."""
 
     options: dict[str, Any] = Field(description="The JSON schema of JobOptions.")
     presets: dict[str, dict[str, str]] = Field(description="The settings that each preset changes.")
     methods: dict[str, dict[str, str]] = Field(description="The settings that each method changes.")
     settings: dict[str, dict[str, Any]] = Field(
-        description="The JSON schema of each setting that users set, without `train.paper` and `expert`."
+        description="The JSON schema of each setting, without `train.paper` and `expert`."
     )
-    max_upload: int = Field(description="The most bytes of an archive.")
+    max_upload: int = Field(description="The largest size of an archive, in bytes.")
 
 
 @router.get("/options", responses=answers())

@@ -1,4 +1,4 @@
-"""The web page: / and its files, as built from service/page/src."""
+"""The web page: / and its files, which are built from service/page/src."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from service.problems import Problem
 
 router = APIRouter(include_in_schema=False)
 
-# Names that change with the content; see service/page/build.mjs.
+# Names with a hash of the content; see service/page/build.mjs.
 _HASHED = re.compile(r".+-[A-Z0-9]{8}\.(js|css)")
 _TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
-_SMALL = 1024  # bytes, below which packing gains nothing
+_SMALL = 1024  # bytes, below which compression gains nothing
 
-# Everything comes from this service, and no text of the page is run. What Spark, which draws the splats, needs beyond:
-# its decoder is WebAssembly ('wasm-unsafe-eval'; eval stays forbidden), in a worker that it starts from a blob.
-# Pictures come from blobs too, because <img> can't send a key.
+# Everything comes from this service, and the page has no inline scripts. Spark, which draws the splats, needs two
+# exceptions: its decoder is WebAssembly ('wasm-unsafe-eval'; eval stays forbidden), and runs in a worker from a blob.
+# Pictures also come from blobs, because <img> can't send a key.
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' blob:; "
     "connect-src 'self'; worker-src blob:; frame-src 'self'; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'"
 )
-# A report is one file with its own style, script and pictures: it gets those, but no origin and no connections.
+# A report is one file with inline style, script and pictures. These are allowed, but no origin and no connections.
 REPORT_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'self'; sandbox allow-scripts"
@@ -39,7 +39,7 @@ REPORT_POLICY = (
 
 @dataclass(frozen=True)
 class PageFile:
-    """A file of the page as it is sent."""
+    """A file of the page."""
 
     name: str
     data: bytes
@@ -74,7 +74,7 @@ class PageFile:
 
 
 def _read_files() -> dict[str, PageFile]:
-    """Read every file of the page, by its name; none where the page was not built."""
+    """Read every file of the page, by its name. There are none if the page was not built."""
     folder = files("service") / "page" / "built"
     return {item.name: PageFile(item.name, item.read_bytes()) for item in folder.iterdir()} if folder.is_dir() else {}
 

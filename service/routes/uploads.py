@@ -52,7 +52,7 @@ async def _speaks_tus(tus_resumable: Annotated[str, Header(max_length=100, descr
 
 
 class _TusRoute(APIRoute):
-    """Names the protocol's version in every answer."""
+    """A route that names the protocol's version in every answer."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return the route's handler."""
@@ -91,13 +91,13 @@ async def _own_upload(upload_id: str, owner: OwnerDep, parts: PartsDep) -> Uploa
 
 
 UploadDep = Annotated[UploadState, Depends(_own_upload)]
-UploadLength = Annotated[int, Header(ge=1, description="The bytes of the whole archive.")]
-UploadOffset = Annotated[int, Header(ge=0, description="The bytes that have arrived; those of the request follow.")]
+UploadLength = Annotated[int, Header(ge=1, description="The size of the whole archive, in bytes.")]
+UploadOffset = Annotated[int, Header(ge=0, description="The number of received bytes, at which the request continues.")]
 UploadMetadata = Annotated[
     str,
     Header(
         max_length=_METADATA_BYTES,
-        description="Pairs of a name and a value in base64. `options`: the JobOptions, as JSON text.",
+        description="Pairs of a name and a value in base64. `options`: the JobOptions as JSON text.",
     ),
 ]
 _TEXT = {"schema": {"type": "string"}}
@@ -108,10 +108,12 @@ def _described(status: int, text: str, *headers: str) -> dict[int | str, dict[st
 
 
 @router.options(
-    "", status_code=204, responses=_described(204, "What is supported.", "Tus-Version", "Tus-Extension", "Tus-Max-Size")
+    "",
+    status_code=204,
+    responses=_described(204, "The supported features.", "Tus-Version", "Tus-Extension", "Tus-Max-Size"),
 )
 async def describe_uploads(parts: PartsDep) -> Response:
-    """Tell the version, the extensions and the limit of resumable uploads."""
+    """Get the protocol version, the extensions and the size limit of resumable uploads."""
     headers = {
         "Tus-Version": VERSION,
         "Tus-Extension": "creation,termination,expiration,checksum",
@@ -133,7 +135,7 @@ async def describe_uploads(parts: PartsDep) -> Response:
 async def create_upload(
     owner: OwnerDep, parts: PartsDep, upload_length: UploadLength, upload_metadata: UploadMetadata = ""
 ) -> Response:
-    """Begin an upload of a known size. The job's options are checked now, if they are given."""
+    """Begin an upload of a known size. Options in the metadata are checked at once."""
     if upload_length > parts.settings.max_upload:
         raise too_large(parts.settings.max_upload)
     options = _options(upload_metadata)
@@ -148,12 +150,12 @@ async def create_upload(
     "/{upload_id}",
     dependencies=_TUS,
     responses={
-        **_described(200, "How far it is.", "Upload-Offset", "Upload-Length", "Upload-Expires"),
+        **_described(200, "The state of the upload.", "Upload-Offset", "Upload-Length", "Upload-Expires"),
         **answers(404, 410, 412, 422),
     },
 )
 async def get_upload(state: UploadDep) -> Response:
-    """Tell how many bytes have arrived."""
+    """Get the number of received bytes."""
     headers = {"Upload-Length": str(state.record.size), "Cache-Control": "no-store"}
     return Response(headers=_headers(state) | headers)
 
@@ -178,7 +180,7 @@ async def append_to_upload(
     upload_offset: UploadOffset,
     upload_checksum: Annotated[str | None, Header(max_length=200)] = None,
 ) -> Response:
-    """Append the body to the upload. Of a request that is cut off, what has arrived is kept."""
+    """Append the body to the upload. If the connection breaks, the received bytes are kept."""
     kind = request.headers.get("content-type", "")
     if kind != APPEND_TYPE:
         raise Problem(415, "content_type_unsupported", f"expected {APPEND_TYPE}, got {kind[:100]!r}")
@@ -186,7 +188,7 @@ async def append_to_upload(
         raise Problem(
             409,
             "upload_offset",
-            f"Upload-Offset: expected {state.offset}, which have arrived, got {upload_offset}",
+            f"Upload-Offset: expected {state.offset}, the number of received bytes, got {upload_offset}",
             _headers(state),
         )
     length = request.headers.get("content-length", "")
@@ -205,7 +207,7 @@ async def append_to_upload(
     responses={**_described(204, "The upload and its bytes are deleted."), **answers(404, 410, 412, 422)},
 )
 async def delete_upload(parts: PartsDep, state: UploadDep) -> Response:
-    """Give up an upload, and delete what has arrived of it."""
+    """Abandon an upload, and delete its bytes."""
     await run_in_threadpool(parts.uploads.remove, state.record)
     return Response(status_code=204)
 
@@ -219,14 +221,14 @@ async def delete_upload(parts: PartsDep, state: UploadDep) -> Response:
 async def submit_upload(
     upload_id: str, owner: OwnerDep, parts: PartsDep, options: OptionsQuery = None, dry_run: DryRunQuery = False
 ) -> Response:
-    """Make a job of a complete upload. An upload makes one job: the same request again gives the same."""
+    """Make a job of a complete upload. An upload makes one job, so a repeated request returns the same job."""
     earlier = await run_in_threadpool(parts.jobs.record, job_of(owner, upload_id))
     if earlier is not None:
         return await answer(parts, earlier.id, 202, {"Idempotency-Replayed": "true"})
     state = await _own_upload(upload_id, owner, parts)
     if not state.complete:
         raise Problem(
-            409, "upload_incomplete", f"{state.offset} of {state.record.size} bytes have arrived; send the others first"
+            409, "upload_incomplete", f"{state.offset} of {state.record.size} bytes have arrived; send the rest first"
         )
     asked = parse_options(options) if options is not None else state.record.options or JobOptions()
     check_webhook(asked, parts)
@@ -256,7 +258,7 @@ def _headers(state: UploadState) -> dict[str, str]:
 
 
 def _options(metadata: str) -> JobOptions | None:
-    """Return the options in Upload-Metadata, None where there are none. Raises Problem."""
+    """Return the options in Upload-Metadata, or None if there are none. Raises Problem if they are invalid."""
     pairs = dict(pair.strip().partition(" ")[::2] for pair in metadata.split(",") if pair.strip())
     if "options" not in pairs:
         return None

@@ -1,4 +1,4 @@
-"""/webhook-secret: what a receiver of webhooks checks signatures with."""
+"""/webhook-secret: the secret with which receivers of webhooks check signatures."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ router = APIRouter(tags=["webhooks"])
 
 
 class WebhookSecret(BaseModel):
-    """The secret of one key, always the same."""
+    """The secret of an owner, which never changes."""
 
-    secret: str = Field(description="`whsec_` and base64, as libraries of Standard Webhooks expect it.")
+    secret: str = Field(description="`whsec_` and base64, as libraries for Standard Webhooks expect.")
 
 
 @router.get("/webhook-secret", responses=answers())

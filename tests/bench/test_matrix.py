@@ -17,7 +17,13 @@ from mgsr.cli.main import app
 from mgsr.pipeline.stop_signals import INTERRUPTED
 from tests.cli.spheres import write_spheres
 
-SETTINGS = ("surfel_iterations=40", "mutual.iterations=20", "surfels.max_start=800", "poisson_depth=5")
+SETTINGS = (
+    "surfel_iterations=40",
+    "mutual.iterations=20",
+    "surfels.max_start=800",
+    "poisson_depth=5",
+    "max_environment_ratio=0",
+)
 TINY = Variant(" ".join(SETTINGS), SETTINGS)
 
 

@@ -15,10 +15,10 @@ from typer.testing import CliRunner
 from mgsr.cli.main import app
 from program.worker import app as worker_app
 from tests.cli.spheres import write_spheres
-from tests.cli.test_run import SHORT
+from tests.cli.test_run import SHORT, UNLIT
 from tests.data.test_exposure import to_linear, to_srgb
 
-pytestmark = pytest.mark.usefixtures("grainy_pictures")
+pytestmark = pytest.mark.usefixtures("quick_report")
 
 STAGES = ("surfel_iterations", "gaussian_iterations", "mutual.iterations")
 
@@ -39,7 +39,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(scene: Path, out: Path, *more: str) -> dict[str, Any]:
     result = CliRunner().invoke(
-        worker_app, ["run", str(scene), "-o", str(out), *SHORT, "--set", "exposure=auto", *more]
+        worker_app, ["run", str(scene), "-o", str(out), *SHORT, *UNLIT, "--set", "exposure=auto", *more]
     )
     assert result.exit_code == 0, result.output
     report: dict[str, Any] = json.loads((out / "report.json").read_text())

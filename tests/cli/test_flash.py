@@ -18,7 +18,7 @@ from mgsr.pipeline.scene_folder import write_scene_folder
 from tests.cli.test_run import SHORT
 from tests.shading.test_shape_from_shading import flash, photographs, rippled
 
-pytestmark = pytest.mark.usefixtures("grainy_pictures")
+pytestmark = pytest.mark.usefixtures("quick_report")
 
 ASIDE = (0.2, -0.3)
 SCALE, OFFSET = 2.0, np.array([0.5, -1.0, 3.0])  # of the capture's frame

@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 from program.worker import app as worker_app
 from tests.cli.spheres import SPHERES, write_spheres
-from tests.cli.test_run import SHORT
+from tests.cli.test_run import SHORT, UNLIT
 
-pytestmark = pytest.mark.usefixtures("grainy_pictures")
+pytestmark = pytest.mark.usefixtures("quick_report")
 
 FEWER = ["--set", "rough_iterations=400", "--set", "learned_masks.iterations=500"]  # enough for spheres
 
@@ -29,7 +29,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(scene: Path, out: Path, *more: str) -> tuple[dict[str, Any], trimesh.Trimesh]:
-    words = ["run", str(scene), "-o", str(out), *SHORT, *FEWER, "--set", "masks=off", *more]
+    words = ["run", str(scene), "-o", str(out), *SHORT, *UNLIT, *FEWER, "--set", "masks=off", *more]
     result = CliRunner().invoke(worker_app, words)
     assert result.exit_code == 0, result.output
     return json.loads((out / "report.json").read_text()), trimesh.load_mesh(out / "mesh.ply")

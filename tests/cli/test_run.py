@@ -34,13 +34,14 @@ from tests.cli.spheres import SPHERES, write_spheres
 from tests.data.reading import draw
 from tests.optional import present
 
-pytestmark = pytest.mark.usefixtures("grainy_pictures")
+pytestmark = pytest.mark.usefixtures("quick_report")
 
 SHORT = [
     *("--preset", "draft", "--set", "surfel_iterations=80", "--set", "gaussian_iterations=80"),
     *("--set", "mutual.iterations=60", "--set", "surfels.max_start=1500", "--set", "gaussians.max_start=1500"),
     *("--set", "poisson_depth=6", "--set", "exposure=keep", "--set", "gloss.height=8"),
 ]
+UNLIT = ("--set", "max_environment_ratio=0")  # for runs in which shading plays no part
 SUFFIXES = ["", "_transmitted", "_reflected", "_weight", "_depth", "_normal"]
 
 
@@ -123,7 +124,7 @@ def test_the_report_has_its_fields(done: Path) -> None:
 
 @pytest.mark.parametrize(("method", "kept", "gone"), [("2dgs", "2d", "3d"), ("3dgs", "3d", "2d")])
 def test_each_method_ends_with_a_mesh(plain_scene: Path, tmp_path: Path, method: str, kept: str, gone: str) -> None:
-    arguments = ["run", str(plain_scene), "-o", str(tmp_path), "--method", method, *SHORT]
+    arguments = ["run", str(plain_scene), "-o", str(tmp_path), "--method", method, *SHORT, *UNLIT]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     assert len(trimesh.load_mesh(tmp_path / "mesh.ply").faces) > 100
@@ -220,7 +221,7 @@ def test_info_tells_what_was_read(scene: Path) -> None:
 def test_sigterm_leaves_a_checkpoint_and_says_how_to_go_on(scene: Path, tmp_path: Path) -> None:
     """Check that SIGTERM leaves a checkpoint, in a process of its own, because signals go to processes."""
     command = [sys.executable, "-m", "program.worker", "run", str(scene), "-o", str(tmp_path)]
-    endless = ["--method", "2dgs", *SHORT, "--set", "surfel_iterations=100000", "--set", "report_every=5"]
+    endless = ["--method", "2dgs", *SHORT, *UNLIT, "--set", "surfel_iterations=100000", "--set", "report_every=5"]
     process = subprocess.Popen(
         [*command, *endless], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2]
     )

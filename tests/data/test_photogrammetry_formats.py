@@ -1064,7 +1064,7 @@ def test_kapture_records_that_cannot_be_used_are_lost_alone(
     ("file", "old", "new", "parts"),
     [
         ("sensors", "OPENCV", "UNKNOWN_CAMERA", ("no camera cam0 with a model",)),
-        ("sensors", ", -0.02", "", ("camera model OPENCV has 8 parameters, got 7", "fix the file")),
+        ("sensors", ", -0.02", "", ("camera model OPENCV: expected 8 parameters, got 7", "fix the file")),
         ("sensors", "OPENCV", "LIGHTFIELD", ("camera model LIGHTFIELD is not supported",)),
         ("trajectories", "3, rig, ", "3 rig ", ("trajectories.txt, line 5: expected at least 9 values",)),
         ("rigs", "rig, cam0", "rig; cam0", ("rigs.txt, line 2",)),

@@ -54,7 +54,7 @@ def test_a_cut_off_video_fails_with_its_reason(stack: Stack, tmp_path: Path) -> 
     whole = film(tmp_path / "walk.mp4", [picture(pose) for pose in poses(8)]).read_bytes()
     failed = stack.wait_for(send_video(stack, whole[: len(whole) // 2], "video/mp4"), "failed")
     assert failed["error"]["code"] == "bad_scene" and not failed["error"]["retryable"]
-    assert "walk.mp4: a damaged or cut off video" in failed["error"]["message"]
+    assert "walk.mp4: the video is damaged or cut off" in failed["error"]["message"]
 
 
 def test_other_files_are_refused_at_once(stack: Stack) -> None:

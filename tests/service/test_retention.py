@@ -84,7 +84,7 @@ def test_only_what_has_ended_long_ago_and_is_not_pinned_goes(
 
 def test_the_commands_list_and_pin(keeping: Stack, jobs: Jobs) -> None:
     job = ended(keeping, jobs, 0.1)
-    for arguments, said in ((["jobs"], "goes "), (["pin", job], "pinned"), (["pin", job, "--off"], "goes ")):
+    for arguments, said in ((["jobs"], "expires "), (["pin", job], "pinned"), (["pin", job, "--off"], "expires ")):
         ran = CliRunner().invoke(app, [*arguments, "--server", keeping.url])
         assert ran.exit_code == 0 and job in ran.stdout and said in ran.stdout, ran.output
 

@@ -170,7 +170,7 @@ def ready(address: str) -> bool:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["nowhere"], "found nothing"),
+        (["nowhere"], "or a video, but it does not exist"),
         (["SCENE", "--set", "max_sied=3"], "data.max_side"),
         (["SCENE", "--set", "object_box=1,2"], 'data.object_box: expected a string such as "-1,-1,0,1,1,2"'),
         (["SCENE", "--preset", "best"], "draft"),

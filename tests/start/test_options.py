@@ -45,6 +45,7 @@ def ball_scene(tmp_path: Path) -> Scene:
     return load_scene(BallCapture(views=12).write_plain(tmp_path), DataConfig())
 
 
+@pytest.mark.usefixtures("neither_bent_nor_moved")
 def test_the_hull_has_the_resolution_that_is_set(ball_scene: Scene) -> None:
     """Check it on the first surface, where stereo and the hull's residual decide nothing."""
     surfaces = [
@@ -55,6 +56,7 @@ def test_the_hull_has_the_resolution_that_is_set(ball_scene: Scene) -> None:
     assert coarse < 0.5 * fine
 
 
+@pytest.mark.usefixtures("neither_bent_nor_moved")
 def test_coarser_depths_weigh_what_is_set(ball_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     weights: list[list[np.ndarray]] = []
 

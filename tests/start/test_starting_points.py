@@ -21,7 +21,6 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.open3d_library import load_open3d
 from mgsr.pipeline.example import find_example
 from mgsr.shading.environment_residual import EnvironmentResidual, environment_residuals
-from mgsr.shading.light_estimate import LightEstimate
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.start import masked_surface
 from mgsr.start.points import StartSource
@@ -93,6 +92,7 @@ def test_own_points_come_first_without_those_that_are_far_away_or_not_finite(tmp
     assert np.linalg.norm(found.positions, axis=1).max() < 100
 
 
+@pytest.mark.usefixtures("neither_bent_nor_moved")
 def test_with_masks_the_surface_that_stereo_finds_comes_before_own_points(ball_scene: Scene) -> None:
     cloud = PointCloud(np.random.default_rng(0).normal(size=(1200, 3)), np.zeros((1200, 3), np.uint8))
     few = replace(ball_scene, train=ball_scene.train[::3])
@@ -155,14 +155,6 @@ def off_the_ball(positions: np.ndarray) -> float:
     return float(np.abs(np.linalg.norm(positions, axis=1) - 0.7).mean())
 
 
-@pytest.fixture
-def neither_bent_nor_moved(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Take the surface as stereo or the hull give it."""
-    monkeypatch.setattr(masked_surface, "estimate_light", lambda *given: LightEstimate())
-    for name in ("shape_from_shading", "refine_photometrically"):
-        monkeypatch.setattr(masked_surface, name, lambda mesh, *rest, **more: mesh)
-
-
 @pytest.mark.usefixtures("neither_bent_nor_moved")
 def test_a_mirror_is_not_carved(mirror: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Check that a mirror is not carved.
@@ -194,6 +186,7 @@ def nothing_found(photographs: StereoPhotographs, *rest: object, **more: object)
     return [DepthMap(each, np.zeros((*each.shape, 3), np.float32), each) for each in empty]
 
 
+@pytest.mark.usefixtures("neither_bent_nor_moved")
 def test_where_stereo_leaves_nothing_the_hull_stays(ball_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     nothing = Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
     for name in ("fuse_roughly", "fuse"):

@@ -65,7 +65,9 @@ class SceneStereoOptions(Options):
     farthest: Positive = 40.0  # ball radii; largest camera z of the search; must exceed nearest
     noise: Positive = 0.003  # sRGB 0..1; replaces the noise of expert.stereo.match.settings, because walls have little
     # contrast
-    rounds: WholeNumber = 4  # rounds of the search; replaces the rounds of expert.stereo.match.settings
+    rounds: WholeNumber = 4  # rounds of the search on the smaller photographs; replaces the rounds of
+    # expert.stereo.match.settings
+    fine_rounds: WholeNumber = 2  # rounds of the search on the larger photographs, which begins at the depths found
     max_angle: Angle = 75.0  # degrees; views at a larger angle are neither matched nor used for confirmation
     confirming_views: Count = 16  # number of nearest views that may confirm a depth
     spacing: Positive = 1.5  # pixels; size of the cells, in contracted space, in which points are averaged

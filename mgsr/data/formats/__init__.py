@@ -1,4 +1,4 @@
-"""The formats that MGSR reads: every module in this folder that has a ``FORMAT``."""
+"""The input formats: every module in this folder defines one as ``FORMAT``."""
 
 from __future__ import annotations
 

@@ -17,9 +17,10 @@ def recognises(root: Path) -> str | None:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read all training and test frames. The validation frames are the test where there is no other, else unused.
+    """Read all training and test frames.
 
-    Raises SceneError where two frames, also a training and a test frame, have the same photograph.
+    Validation frames serve as test frames if the capture has no others; otherwise they are not used. Raises SceneError
+    if two frames share a photograph, even if one is for training and the other for testing.
     """
     test = next((name for name in (_TEST, _VAL) if (folder.root / name).is_file()), None)
     frames = _frames(folder.root, _TRAIN, Split.TRAIN if test else None)

@@ -1,8 +1,8 @@
-"""BlocksExchange: XML with which ContextCapture (iTwin Capture), Metashape, DJI Terra and others exchange cameras.
+"""BlocksExchange: the XML in which ContextCapture (iTwin Capture), Metashape, DJI Terra and others exchange cameras.
 
-Source: Bentley's ContextCapture user guide, "BlocksExchange XML/XMLZ format" and its camera models. Rotations take
-world coordinates to a camera's axes, which CameraOrientation names. Pixels are counted from the centre of the upper
-left one.
+Source: Bentley's ContextCapture user guide, "BlocksExchange XML/XMLZ format" and its camera models. Rotations map
+world coordinates to a camera's axes, which CameraOrientation names. The origin of pixel coordinates is the centre of
+the upper left pixel.
 """
 
 from __future__ import annotations
@@ -25,28 +25,29 @@ from mgsr.data.scene import PointCloud
 from mgsr.data.xml_files import read_xml
 from mgsr.errors import SceneError
 
-# Elements to skip, which may be most of the file. In a very large file, tie points are skipped too.
+# These elements are skipped; they may be most of the file. In a very large file, tie points are skipped too.
 _LEFT_OUT = ("Measurement", "Metadata", "ExifData", "ColorModel", "ControlPoints", "PositioningConstraints")
 _TIE_POINTS_UP_TO = 300 << 20  # bytes
 _COLOR = ("Red", "Green", "Blue")
 
-# Where the axes of a camera point in the image: CameraOrientation is made of two of them.
+# The directions of a camera's axes in the image. CameraOrientation combines one name of each table.
 _AXES = {"XRight": (1, 0), "XLeft": (-1, 0), "XDown": (0, 1), "XUp": (0, -1)}
 _SECOND_AXES = {name.replace("X", "Y"): axis for name, axis in _AXES.items()}
 _ORIENTATION = re.compile(r"(X(?:Right|Left|Down|Up))(Y(?:Right|Left|Down|Up))")
-# Longitude and latitude: WGS 84 and others whose numbers begin with 4, but for those counted from the earth's centre.
+# Systems of longitude and latitude: WGS 84 and others whose EPSG codes begin with 4. Geocentric systems have such codes
+# too, but are Cartesian.
 _GEOGRAPHIC = re.compile(r"EPSG:4\d{3}(?!\d)|WGS ?84$|GEOGCS|GEODCRS|\+proj=(?:longlat|latlong)", re.IGNORECASE)
 _GEOCENTRIC = re.compile(r"EPSG:(?:4978|4936|4328|4896)(?!\d)|GEOCCS|PROJCS|PROJCRS", re.IGNORECASE)
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first .xml of the folder with the header of the format."""
+    """Return the folder's first .xml file with the header of the format."""
     paths = (path for path in sorted(root.glob("[!.]*.[xX][mM][lL]")) if path.is_file())
     return next((path.name for path in paths if _is_exchange(path)), None)
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every photograph with a pose of the block that has most, and its tie points."""
+    """Read the tie points and all posed photographs of the block with the most photographs."""
     file = recognises(folder.root)
     assert file is not None, "read() accepts recognised folders only"
     path = folder.root / file
@@ -63,9 +64,10 @@ def read(folder: SceneFolder) -> Capture:
 
 @dataclass(frozen=True)
 class _BlockPhoto:
-    """A photograph with its path, its element and the group that has its camera.
+    """A photograph of a block.
 
-    It also says whether the others are aligned without it.
+    path: its path. photo: its element. group: the element of its photo group, which holds the camera. left_behind:
+    whether the photograph is outside the block's main component, so it is not aligned with the others.
     """
 
     path: str
@@ -85,7 +87,7 @@ def _is_exchange(path: Path) -> bool:
 
 
 def _plain(root: Element) -> Element:
-    """Return the tree with the namespaces stripped from its tags, in place."""
+    """Strip the namespaces from the tags of a tree in place, and return it."""
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]
     return root
@@ -132,7 +134,7 @@ def _photo(image: Path, entry: _BlockPhoto, exchange: Element, block: Element, s
 
 
 def _check_system(system: str, exchange: Element, source: str) -> None:
-    """Raise SceneError where positions are longitude and latitude."""
+    """Raise SceneError if positions are given as longitude and latitude."""
     for entry in exchange.iterfind("SpatialReferenceSystems/SRS"):
         definition = _text(entry, "Definition")
         is_geographic = _GEOGRAPHIC.search(definition) and not _GEOCENTRIC.search(definition)
@@ -146,7 +148,7 @@ def _check_system(system: str, exchange: Element, source: str) -> None:
 def _rotation(pose: Element, source: str) -> np.ndarray:
     """Return the rotation [3,3] from the world to the camera's axes.
 
-    The file gives a matrix, or omega, phi and kappa in degrees. Raises SceneError where it gives neither.
+    The file holds either a matrix, or omega, phi and kappa in degrees. Raises SceneError if it holds neither.
     """
     rotation = pose.find("Rotation")
     assert rotation is not None
@@ -164,9 +166,9 @@ def _rotation(pose: Element, source: str) -> np.ndarray:
 
 
 def _axes(group: Element, source: str) -> np.ndarray:
-    """Return the camera's axes as rows [3,3] in OpenCV's axes; x right and y down where the group names none.
+    """Return the camera's axes in OpenCV's axes, as rows [3,3].
 
-    Raises SceneError for unknown names.
+    A group without CameraOrientation has x right and y down. Raises SceneError for unknown names.
     """
     name = _text(group, "CameraOrientation") or "XRightYDown"
     match = _ORIENTATION.fullmatch(name)
@@ -199,7 +201,7 @@ def _camera(group: Element, source: str) -> tuple[np.ndarray, Lens, tuple[int, i
 
 
 def _perspective(group: Element, side: int, source: str) -> tuple[float, float, Lens]:
-    """Return fx and fy, pixels, and the lens. Brown's P1 and P2 are OpenCV's p2 and p1."""
+    """Return fx and fy in pixels, and the lens. The file's P1 and P2 are OpenCV's p2 and p1."""
     focal = _focal_length(group, side, source)
     ratio, skew = _number(group, "AspectRatio", source, 1.0), _number(group, "Skew", source, 0.0)
     if focal == 0:
@@ -211,7 +213,7 @@ def _perspective(group: Element, side: int, source: str) -> tuple[float, float, 
 def _focal_length(group: Element, side: int, source: str) -> float:
     """Return the focal length in pixels.
 
-    side: the image's larger side, pixels, which SensorSize refers to.
+    side: the larger side of the image in pixels, to which SensorSize refers.
     """
     if group.find("FocalLengthPixels") is not None:
         return _number(group, "FocalLengthPixels", source)
@@ -219,7 +221,7 @@ def _focal_length(group: Element, side: int, source: str) -> float:
 
 
 def _pixel(group: Element, side: int, source: str) -> float:
-    """Return a pixel's size, millimetres. Raises SceneError where it is not above 0."""
+    """Return the size of a pixel in millimetres. Raises SceneError if it is not above 0."""
     given = group.find("PixelSize") is not None
     size = _number(group, "PixelSize", source) if given else _number(group, "SensorSize", source) / max(side, 1)
     if size <= 0:
@@ -230,8 +232,8 @@ def _pixel(group: Element, side: int, source: str) -> float:
 def _principal_point(group: Element, size: tuple[int, int], source: str) -> tuple[float, float]:
     """Return the principal point in pixels, with pixel centres at +0.5.
 
-    The file gives it in pixels, in millimetres from the middle along the camera's axes, or not at all. Programs that
-    count from the image's corner write exactly half its sides for the middle.
+    The file gives it in pixels, in millimetres from the middle along the camera's axes, or not at all. A point at
+    exactly half the image's sides comes from a program that counts from the corner, so it is the middle.
     """
     middle = size[0] / 2, size[1] / 2
     point = group.find("PrincipalPoint")
@@ -246,10 +248,10 @@ def _principal_point(group: Element, size: tuple[int, int], source: str) -> tupl
 
 
 def _fisheye(group: Element, source: str) -> tuple[float, float, Lens]:
-    """Return fx and fy, pixels, and the fisheye lens.
+    """Return fx and fy in pixels, and the fisheye lens.
 
-    The file's lens is a polynomial of the ray's angle over 90 degrees, times the focal matrix. Raises SceneError for
-    terms that have no equal in MGSR's lens.
+    The file's radius is a polynomial of the ray's angle, in units of 90 degrees, multiplied by the focal matrix. Raises
+    SceneError for terms that MGSR's lens does not have.
     """
     f00, f01, f10, f11 = (_number(group, f"FisheyeFocalMatrix/M_{index}", source) for index in ("00", "01", "10", "11"))
     p0, p1, p2, p3, p4 = (
@@ -266,7 +268,7 @@ def _fisheye(group: Element, source: str) -> tuple[float, float, Lens]:
 
 
 def _number(element: Element, path: str, source: str, default: float | None = None) -> float:
-    """Return the number in the element at `path`; `default` where there is no such element."""
+    """Return the number in the element at `path`, or `default` if there is no such element."""
     text = element.findtext(path)
     if text is None and default is not None:
         return default
@@ -274,7 +276,7 @@ def _number(element: Element, path: str, source: str, default: float | None = No
 
 
 def _points(block: Element) -> PointCloud | None:
-    """Return the tie points that have a position; the file's colours range from 0 to 1."""
+    """Return the tie points that have a position. Colours in the file range from 0 to 1."""
     places, colors = [], []
     for tie in block.iterfind("TiePoints/TiePoint"):
         position, color = tie.find("Position"), tie.find("Color")

@@ -2,9 +2,9 @@
 
 COLMAP, VisualSFM, RealityCapture and others export it too.
 
-Cameras look along -z with y up. Pixels are counted from the image's middle. The radial terms act on x / z and y / z.
-Source: Bundler's user manual, "Output format and scene representation". Lists have a photograph on each line, in some
-files with a zero and a focal length after it.
+Cameras look along -z with y up. The origin of pixel coordinates is the middle of the image. The radial terms act on
+x / z and y / z. Source: Bundler's user manual, "Output format and scene representation". A list has one photograph per
+line; in some files a zero and a focal length follow its name.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mgsr.data.poses import intrinsics, rigid
 from mgsr.data.scene import PointCloud
 from mgsr.errors import SceneError, in_short
 
-# The original program keeps its list beside a folder of bundles.
+# The original program writes bundles to a folder of their own, and the list beside that folder.
 _FOLDERS = (".", "bundle")
 _USUAL = ("bundle.out", "bundle.rd.out")
 _VERSIONS = ("v0.1", "v0.2", "v0.3")
@@ -37,14 +37,14 @@ _LIST_LINE = re.compile(r"(.*?)(?:\s+\d+(?:\s+[-+.\deE]+)?)?\s*")
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first bundle file of the folder, or of bundle/ in it; one of the usual names comes first."""
+    """Return the first bundle file of the folder, or of its bundle/; files with usual names come first."""
     found = [path for folder in _FOLDERS for path in sorted((root / folder).glob("[!.]*.out")) if _is_bundle(path)]
     best = min(found, key=lambda path: path.name not in _USUAL, default=None)
     return best.relative_to(root).as_posix() if best else None
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every camera, with the photograph on its line of the list, and every point."""
+    """Read every point, and every camera with the photograph on its line of the list."""
     file = recognises(folder.root)
     assert file is not None, "read() accepts recognised folders only"
     bundle = _bundle(folder.root / file)
@@ -59,7 +59,7 @@ def read(folder: SceneFolder) -> Capture:
 
 @dataclass(frozen=True)
 class _Bundle:
-    """A bundle file's content. cameras: each camera's numbers, as words."""
+    """The content of a bundle file. cameras: each camera's numbers, as words."""
 
     cameras: list[list[str]]
     points: PointCloud | None
@@ -67,7 +67,7 @@ class _Bundle:
 
 @dataclass(frozen=True)
 class _List:
-    """A list of photographs: its file and the names, in the order of the cameras."""
+    """A list of photographs: its file, and their names in the order of the cameras."""
 
     path: Path
     names: list[str]
@@ -105,13 +105,13 @@ def _without_comments(lines: Iterable[str], name: str) -> Iterator[str]:
 
 
 class _Words:
-    """The words of a text, line by line."""
+    """A reader that takes words from lines of text."""
 
     def __init__(self, lines: Iterator[str]) -> None:
         self._lines, self._words, self._at = lines, [""], 1
 
     def take(self, count: int) -> list[str]:
-        """Return the next `count` words. Raises ValueError where the text ends too early."""
+        """Return the next `count` words. Raises ValueError if the text ends too early."""
         taken: list[str] = []
         while len(taken) < count:
             if self._at == len(self._words):
@@ -122,7 +122,7 @@ class _Words:
         return taken
 
     def whole(self) -> int:
-        """Return the next word as a whole number. Raises ValueError where it is negative."""
+        """Return the next word as a whole number. Raises ValueError if it is negative."""
         value = int(self.take(1)[0])
         if value < 0:
             raise ValueError(f"expected a count, got {value}")
@@ -136,7 +136,7 @@ class _Words:
 
 
 def _points(words: _Words, count: int) -> PointCloud | None:
-    """Return positions and colours of the points, without the list of views that see them."""
+    """Return the points with their colours, and skip the lists of views that see them."""
     places, colors = [], []
     for _ in range(count):
         places.append(words.take(3))
@@ -146,9 +146,10 @@ def _points(words: _Words, count: int) -> PointCloud | None:
 
 
 def _list(root: Path, bundle: Path, cameras: int) -> _List:
-    """Find the list of the bundle's photographs: by its usual names, else the only list with as many photographs.
+    """Find the list of the bundle's photographs.
 
-    Raises SceneError where no list, or more than one, fits.
+    A list with a usual name comes first, else the only list with as many photographs as the bundle has cameras. Raises
+    SceneError if no list fits, or more than one.
     """
     folders = list(dict.fromkeys((bundle.parent, root)))
     usual = (folder / name for folder in folders for name in _usual_lists(bundle))
@@ -172,17 +173,14 @@ def _list(root: Path, bundle: Path, cameras: int) -> _List:
 
 
 def _usual_lists(bundle: Path) -> list[str]:
-    """Return the usual file names of the list.
-
-    Bundler, VisualSFM, COLMAP, multicore bundle adjustment and others use them.
-    """
+    """Return the names that Bundler, VisualSFM, COLMAP, multicore bundle adjustment and others give to the list."""
     stem = bundle.name.removesuffix(".out")
     names = [stem.replace("bundle", "list") + ".txt"] if "bundle" in stem else []
     return [*names, f"{stem}-list.txt", f"{stem}.list.txt", f"{bundle.name}.list.txt", f"{stem}.lst", f"{stem}.out.lst"]
 
 
 def _names(path: Path) -> list[str]:
-    """Return the names in a list; none where the file is no text."""
+    """Return the names in a list, or an empty list if the file is not text or too large."""
     try:
         if path.stat().st_size > _LARGEST_LIST:
             return []

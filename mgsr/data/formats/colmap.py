@@ -1,9 +1,9 @@
 """COLMAP: a sparse model, binary or text, in sparse/0 or sparse, and the photographs in images/.
 
-Layouts of other programs are read too.
+The folder layouts of other programs are read too.
 
-The files' layout is that of COLMAP's documentation, "Output Format". Newer models also have rigs and frames files; the
-images file still holds every photograph's own pose, so they say nothing more about it.
+COLMAP's documentation, "Output Format", describes the files. Newer models also have files of rigs and frames. They are
+not read, because the images file still holds the pose of every photograph.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from mgsr.errors import SceneError, in_short
 
 _Content = TypeVar("_Content")
 
-# Where models lie, numbered or alone, and the folders that may hold their photographs. The second is ns-process-data's,
-# the third that of 3D Gaussian splatting's convert.py, which undistorts the photographs of input/ into images/.
+# Folders of models, numbered or single, with the folders that may hold their photographs. ns-process-data writes
+# colmap/sparse. The convert.py of 3D Gaussian Splatting writes distorted/sparse, and undistorts input/ into images/.
 _PLACES = {
     "sparse": ("images", "input", "."),
     "colmap/sparse": ("images", "input", "."),
@@ -38,10 +38,10 @@ _PLACES = {
     ".": ("images", "input", "."),
 }
 
-# Fewer registered photographs than this share mean that COLMAP lost the scene.
+# If COLMAP registered less than this share of the photographs, its model is not of the whole scene.
 _LEAST_REGISTERED = 0.25
 
-# Model number in binary files, name, count of parameters; to_pinhole documents their meaning.
+# By their numbers in binary files: the camera models' names and parameter counts. `to_pinhole` reads the parameters.
 _MODELS = {
     0: ("SIMPLE_PINHOLE", 3),
     1: ("PINHOLE", 4),
@@ -63,7 +63,7 @@ _MODELS = {
     17: ("EQUIRECTANGULAR", 2),
 }
 
-# Those with one focal length: f, cx, cy come first; the others begin with fx, fy, cx, cy.
+# Models with a single focal length begin with f, cx, cy; all others begin with fx, fy, cx, cy.
 _ONE_FOCAL = {
     "SIMPLE_PINHOLE",
     "SIMPLE_RADIAL",
@@ -77,10 +77,10 @@ _ONE_FOCAL = {
 
 @dataclass(frozen=True)
 class ColmapCamera:
-    """A camera as COLMAP has it.
+    """A camera of a COLMAP model.
 
-    model: the name of its model. width, height: of its images, pixels. params: the model's parameters, in COLMAP's
-    order.
+    model: the name of its camera model. width, height: the size of its images in pixels. params: the parameters, in
+    COLMAP's order.
     """
 
     model: str
@@ -107,13 +107,13 @@ class _ColmapModel:
 
 
 def recognises(root: Path) -> str | None:
-    """Return the images file of a model, if there is one."""
+    """Return the images file of the first model, or None."""
     _, markers = _find_models(root)
     return str(markers[0].relative_to(root)) if markers else None
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every registered image and every 3D point of the model with most images."""
+    """Read every registered image and every 3D point of the model with the most images."""
     place, markers = _find_models(folder.root)
     models = [_read_images(folder.root, marker) for marker in markers]
     model = max(models, key=lambda candidate: len(candidate.images))
@@ -126,9 +126,9 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def read_model(model_folder: Path, photos: SceneFolder) -> Capture:
-    """Read every registered image and every 3D point of the model in a folder, whose photographs lie in another one.
+    """Read every registered image and every 3D point of a model whose photographs lie in another folder.
 
-    Raises SceneError where the model is missing or damaged.
+    Raises SceneError if the model is missing or damaged.
     """
     marker = _marker(model_folder)
     if marker is None:
@@ -143,7 +143,7 @@ def read_model(model_folder: Path, photos: SceneFolder) -> Capture:
 def _find_models(root: Path) -> tuple[str, list[Path]]:
     """Return the first of _PLACES that has models, and their images files.
 
-    Beside a transforms.json it returns none: that file is made from the models and has masks and splits besides.
+    Models beside a transforms.json are ignored, because that file derives from them and adds masks and splits.
     """
     if (root / "transforms.json").is_file():
         return "", []
@@ -162,7 +162,7 @@ def _marker(folder: Path) -> Path | None:
 
 
 def _is_model(folder: Path) -> bool:
-    """Return whether a folder with an images file is more than another program's list of images."""
+    """Return whether a folder has a cameras file; without one, its images file may be another program's list."""
     return any((folder / ("cameras" + suffix)).is_file() for suffix in _CAMERAS)
 
 
@@ -172,7 +172,7 @@ def _read_images(root: Path, marker: Path) -> _ColmapModel:
 
 
 def _read_scene(model: _ColmapModel) -> tuple[dict[int, ColmapCamera], PointCloud | None]:
-    """Return the cameras and points of a model; the points are None where it has no such file."""
+    """Return the cameras and points of a model. The points are None if it has no file of points."""
     cameras, points = model.marker.with_stem("cameras"), model.marker.with_stem("points3D")
     return (
         _parsed(_CAMERAS, cameras, model.where),
@@ -181,8 +181,8 @@ def _read_scene(model: _ColmapModel) -> tuple[dict[int, ColmapCamera], PointClou
 
 
 def _parsed(parsers: Mapping[str, Callable[[Path], _Content]], path: Path, where: str) -> _Content:
-    """Parse a model's file, binary or text. Raises SceneError where it is missing or damaged."""
-    if parsers is not _POINTS:  # models of known poses have an empty file of points
+    """Parse a model's file, binary or text. Raises SceneError if it is missing or damaged."""
+    if parsers is not _POINTS:  # a model made from known poses may have an empty file of points
         require_content(path)
     try:
         return parsers[path.suffix](path)
@@ -198,7 +198,7 @@ def _other_models(models: Sequence[_ColmapModel], used: _ColmapModel) -> tuple[s
 
 
 def _left_out(found: FoundPhotos, model: _ColmapModel) -> tuple[str, ...]:
-    """Return a note on the photographs that COLMAP did not register. Raises SceneError where it registered few."""
+    """Return a note on the photographs that COLMAP did not register. Raises SceneError if it registered few."""
     folders = {path.parent for path in found.files}
     there = {path for folder in folders for path in folder.iterdir() if is_photo(path)}
     registered = len(model.images)
@@ -218,10 +218,10 @@ def _photo(path: Path, image: _ColmapImage, cameras: dict[int, ColmapCamera], fi
 
 
 def to_pinhole(camera: ColmapCamera, source: str) -> tuple[np.ndarray, AnyLens | None]:
-    """Return the intrinsics [3,3], pixels, and the lens whose distortion must be removed; None for a pinhole.
+    """Return the intrinsics [3,3] in pixels, and the lens whose distortion must be removed, None for a pinhole.
 
-    The formulas of the models are those of COLMAP's sensor/models.h. Raises SceneError with `source` for panoramas, for
-    other models that are not supported, and for parameters that are not finite.
+    COLMAP's sensor/models.h defines the models. source: the camera's place in the capture, for messages. Raises
+    SceneError for panoramas, for other unsupported models, and for parameters that are not finite.
     """
     if camera.model.lower() in PANORAMAS:
         raise SceneError(f"{source}: camera model {camera.model} is not supported: {PANORAMA_CURE}")
@@ -283,8 +283,8 @@ def _pose(image: _ColmapImage, source: str) -> np.ndarray:
     return pose
 
 
-# Text: one record a line; images take two lines, the second (their 2D points: x, y, number) may be empty. Files that
-# COLMAP didn't write may leave it out.
+# Text files have one record per line, but an image has two lines. The second holds its 2D points (x, y, number) and may
+# be empty. Files of other programs may lack it.
 
 
 _NUMBERS = re.compile(r"(?:[-+.\deE\s]|-?nan(?:\(\w*\))?)+", re.IGNORECASE)
@@ -316,9 +316,9 @@ def _text_images(path: Path) -> list[_ColmapImage]:
 
 
 def _is_points(line: str) -> bool:
-    """Return whether a line is triples of numbers and nothing else.
+    """Return whether a line consists of triples of numbers.
 
-    An image's line has a name; if that were a number, the line would have ten fields.
+    The line of an image has ten fields, so it does not, even if the image's name is a number.
     """
     return _NUMBERS.fullmatch(line) is not None and len(line.split()) % 3 == 0
 
@@ -330,11 +330,11 @@ def _text_points(path: Path) -> PointCloud:
     return PointCloud(table[:, :3], table[:, 3:].astype(np.uint8))
 
 
-# Binary: little endian, a 64-bit count and then the records.
+# Binary files are little-endian: a 64-bit count, then the records.
 
 
 class _ByteReader:
-    """A file's bytes, taken from the front."""
+    """A reader that takes values from a file's bytes, from front to back."""
 
     def __init__(self, path: Path) -> None:
         self.data, self.at = path.read_bytes(), 0
@@ -391,13 +391,14 @@ def _binary_points(path: Path) -> PointCloud:
 
 
 def checked_camera(model: str, width: int, height: int, params: tuple[float, ...]) -> ColmapCamera:
-    """Return the camera of a model's name and parameters.
+    """Return a camera after checking the number of its parameters.
 
-    Raises ValueError if a known model has another number of parameters; `to_pinhole` refuses unknown models.
+    Raises ValueError if a known model has another number of parameters. Unknown models pass, because `to_pinhole`
+    refuses them.
     """
     count = dict(_MODELS.values()).get(model)
     if count is not None and len(params) != count:
-        raise ValueError(f"camera model {model} has {count} parameters, got {len(params)}")
+        raise ValueError(f"camera model {model}: expected {count} parameters, got {len(params)}")
     return ColmapCamera(model, width, height, params)
 
 

@@ -1,8 +1,8 @@
-"""The folder that 3D Gaussian Splatting writes: cameras.json, beside cfg_args and point_cloud/.
+"""The output folder of 3D Gaussian Splatting: cameras.json, beside cfg_args and point_cloud/.
 
-Source: the reference implementation (graphdeco-inria/gaussian-splatting, utils/camera_utils.py, camera_to_JSON):
-position and rotation take the camera to the world, with OpenCV's axes; the principal point is the image's middle. Its
-forks and its successors write the same file, some with cx and cy.
+Source: the reference implementation (graphdeco-inria/gaussian-splatting, utils/camera_utils.py, camera_to_JSON).
+Position and rotation map the camera to the world, with OpenCV's axes. The principal point is the middle of the image.
+Forks and successors write the same file, some with cx and cy.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from mgsr.data.scene import PointCloud
 from mgsr.errors import MissingPhotoError, SceneError
 
 _FILE = "cameras.json"
-_POINTS = "input.ply"  # the points that training began with
+_POINTS = "input.ply"  # the points with which training began
 _KEYS = (b'"position"', b'"rotation"', b'"fx"', b'"img_name"')
-_RENDERS = re.compile(r"ours_\d+")  # renders are numbered, whatever their photographs' names
+_RENDERS = re.compile(r"ours_\d+")  # a folder of renders; their numbers may match the names of photographs
 
 
 def recognises(root: Path) -> str | None:
-    """Return cameras.json, if it is a list of cameras of this form; other programs write files of that name too."""
+    """Return cameras.json if it is a list of cameras of this form. Other programs write files of that name too."""
     head = head_of(root / _FILE).lstrip(b"\xef\xbb\xbf \t\r\n")
     return _FILE if head.startswith(b"[") and all(key in head for key in _KEYS) else None
 
@@ -37,7 +37,7 @@ def recognises(root: Path) -> str | None:
 def read(folder: SceneFolder) -> Capture:
     """Read every camera, and find the photographs by name below the scene's folder.
 
-    What cfg_args names elsewhere is not followed. Raises SceneError where no photograph is there.
+    The source path in cfg_args is not followed. Raises SceneError if no photograph is found.
     """
     cameras = read_json(folder.root / _FILE)
     if not isinstance(cameras, list) or not cameras or not all(isinstance(camera, dict) for camera in cameras):
@@ -78,7 +78,7 @@ def _photo(folder: SceneFolder, image: Path, camera: dict[str, Any], name: str, 
 
 
 def _points(root: Path) -> tuple[PointCloud | None, tuple[str, ...]]:
-    """Return the points that training began with, or a note where they can't be read."""
+    """Return the points with which training began, or a note if they can't be read."""
     if not (root / _POINTS).is_file():
         return None, ()
     try:

@@ -1,7 +1,7 @@
 """Kapture: sensors/ with cameras, poses and the photographs.
 
-Source: kapture's "data format v1.1" (kapture_format.adoc). A pose maps the world to a device, or the rig to one of its
-sensors, as quaternion and translation; camera models are COLMAP's.
+Source: kapture's "data format v1.1" (kapture_format.adoc). A pose is a quaternion and a translation. It maps the world
+to a device, or a rig to one of its sensors. Camera models are COLMAP's.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ _DEEPEST_RIG = 10
 
 
 def recognises(root: Path) -> str | None:
-    """Return the list of cameras' records, if the list of sensors is there too."""
+    """Return the file of the cameras' records if the file of sensors exists too."""
     return _RECORDS if all((root / name).is_file() for name in (_SENSORS, _RECORDS)) else None
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every record of a camera that has a pose, its own or through its rig, and the points.
+    """Read the points, and every camera record that has a pose, either its own or its rig's.
 
-    Raises SceneError if the file of the poses is missing.
+    Raises SceneError if the file of poses is missing.
     """
     if not (folder.root / _TRAJECTORIES).is_file():
-        raise SceneError(f"{folder.root.name} lacks {_TRAJECTORIES}, the file of the poses; add it")
+        raise SceneError(f"{folder.root.name} lacks {_TRAJECTORIES}, the file of poses; add it")
     records = list(_rows(folder.root, _RECORDS, 3))
     dataset = _dataset(folder.root)
     found = folder.find_photos(_RECORDS, [row[2] for row in records], (_DATA, "."))
@@ -50,10 +50,10 @@ def read(folder: SceneFolder) -> Capture:
 
 @dataclass(frozen=True)
 class _Dataset:
-    """A dataset's sensors, poses and rigs.
+    """The sensors, poses and rigs of a dataset.
 
-    sensors: the fields of each, after its id. poses: the fields of each, by time and device. rigs: for each device the
-    rigs that it is in, and the fields of its pose there.
+    sensors: each sensor's fields, by its id. poses: each pose's fields, by time and device. rigs: for each device, its
+    rigs, each with the fields of the device's pose in it.
     """
 
     sensors: dict[str, list[str]]
@@ -74,7 +74,7 @@ def _dataset(root: Path) -> _Dataset:
 
 
 def _time(text: str) -> str:
-    """Return a time without leading zeros, which files of one dataset may write differently."""
+    """Return a time without leading zeros, since the files of a dataset may pad times differently."""
     return text.lstrip("0") or "0"
 
 
@@ -108,7 +108,7 @@ def _photo(image: Path, record: list[str], dataset: _Dataset) -> Photo:
 
 
 def _camera(sensor: list[str] | None, device: str, source: str) -> tuple[np.ndarray, AnyLens | None, tuple[int, int]]:
-    """Return the intrinsics [3,3], pixels, the lens, and the image size (width, height) of a device.
+    """Return the intrinsics [3,3] in pixels, the lens, and the image size (width, height) of a device.
 
     Raises SceneError for a missing or unsupported camera.
     """
@@ -127,9 +127,10 @@ def _camera(sensor: list[str] | None, device: str, source: str) -> tuple[np.ndar
 
 
 def _pose(time: str, device: str, dataset: _Dataset, source: str, depth: int) -> np.ndarray | None:
-    """Return cam_from_world [4,4] of a device, or None where it has no pose.
+    """Return cam_from_world [4,4] of a device, or None if it has no pose.
 
-    It is the device's own pose, or its place in a rig after the rig's.
+    The device has a pose of its own, or its place in a rig is composed with the rig's pose. `depth` limits how deeply
+    rigs may nest.
     """
     own = dataset.poses.get((time, device))
     if own is not None:
@@ -143,13 +144,13 @@ def _pose(time: str, device: str, dataset: _Dataset, source: str, depth: int) ->
 
 
 def _rigid(fields: list[str], source: str) -> np.ndarray:
-    """Return the pose [4,4] of a quaternion wxyz and a translation, seven fields of a file."""
+    """Return the pose [4,4] from seven fields of a file: a quaternion wxyz and a translation."""
     values = numbers(fields, 7, "pose", source)
     return rigid(rotation_of(values[:4], source), values[4:])
 
 
 def _points(root: Path) -> PointCloud | None:
-    """Return the points' positions and colours, grey where they have none; None without a file of points."""
+    """Return the points, grey if they have no colour; None without a file of points."""
     if not (root / _POINTS).is_file():
         return None
     rows = list(_rows(root, _POINTS, 3))

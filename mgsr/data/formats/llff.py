@@ -1,8 +1,8 @@
 """LLFF: poses_bounds.npy, and photographs in the order of their names.
 
-Source: the README of LLFF (Fyusion/LLFF), "Using your own poses without running COLMAP": each row has a 3x5 matrix and
+Source: the README of LLFF (Fyusion/LLFF), "Using your own poses without running COLMAP". Each row has a 3x5 matrix and
 the bounds of depth. The matrix's last column holds height, width and focal length; the other columns are a
-camera-to-world pose. The camera's axes are down, right, backwards. Its principal point is the image's centre.
+camera-to-world pose. The camera's axes are down, right, backwards. Its principal point is the centre of the image.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ _COLUMNS = 17
 
 
 def recognises(root: Path) -> str | None:
-    """Return poses_bounds.npy, if the folder has it."""
+    """Return poses_bounds.npy if the folder has it."""
     return _FILE if (root / _FILE).is_file() else None
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read the pose of every photograph. Raises SceneError where there are more or fewer photographs than poses."""
+    """Read the pose of every photograph. Raises SceneError if there are more or fewer photographs than poses."""
     rows = _rows(folder.root / _FILE)
     found = folder.find_photos(_FILE, _names(folder, len(rows)))
     return Capture.of(found, lambda i, image: _photo(image, rows[i], f"{_FILE}, row {i}"))
 
 
 def _rows(path: Path) -> np.ndarray:
-    """Read the file's rows [N,17]. Raises SceneError for damaged files and other shapes."""
+    """Read the rows [N,17] of the file. Raises SceneError for damaged files and other shapes."""
     require_content(path)
     try:
         rows = _load(path)
@@ -45,16 +45,16 @@ def _rows(path: Path) -> np.ndarray:
         raise SceneError(f"{_FILE}: the file is damaged: {in_short(error)}; copy it again") from error
     if rows.ndim != 2 or rows.shape[1] != _COLUMNS or not len(rows):
         raise SceneError(
-            f"{_FILE}: expected an array of {_COLUMNS} numbers a camera, got shape {list(rows.shape)}; write it with "
+            f"{_FILE}: expected {_COLUMNS} numbers per camera, got an array of shape {list(rows.shape)}; write it with "
             "LLFF's imgs2poses.py"
         )
     return rows
 
 
 def _load(path: Path) -> np.ndarray:
-    """Load the array [...] of an .npy file (numpy.lib.format), after checking its size against the file's.
+    """Load the array [...] of an .npy file (numpy.lib.format) after checking its declared size against the file's.
 
-    Raises ValueError for arrays of another type or a false size.
+    Raises ValueError if the array is not numeric, or larger than the file.
     """
     with path.open("rb") as file:
         major, _ = np.lib.format.read_magic(file)
@@ -69,10 +69,11 @@ def _load(path: Path) -> np.ndarray:
 
 
 def _names(folder: SceneFolder, count: int) -> list[str]:
-    """Return the photographs of the poses, in order, from the first folder with as many photographs as poses.
+    """Return the photographs in the order of the poses.
 
-    view_imgs.txt comes first if it lists as many; some programs write it where COLMAP left photographs out. Raises
-    SceneError where no folder fits.
+    If view_imgs.txt lists as many photographs as there are poses, its names count. Some programs write it if COLMAP
+    left photographs out. Otherwise the first folder with the right number of photographs counts. Raises SceneError if
+    no folder fits.
     """
     listed = _listed(folder.root / _REGISTERED)
     if len(listed) == count:
@@ -91,7 +92,7 @@ def _listed(path: Path) -> list[str]:
 
 
 def _places(folder: SceneFolder) -> list[Path]:
-    """Return the folders to look in: images/, its reduced forms from the largest on, the root, and all others."""
+    """Return the folders to search: images/, its reduced copies with the largest first, the root, and all others."""
     reduced = sorted(folder.root.glob("images_*"), key=lambda path: (len(path.name), path.name))
     others = [path for path in folders_in(folder.root) if path not in reduced and path.name != "images"]
     return [folder.root / "images", *reduced, folder.root, *others]

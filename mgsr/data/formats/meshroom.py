@@ -1,8 +1,8 @@
-"""Meshroom / AliceVision: a .sfm (JSON) with poses, and the photographs.
+"""Meshroom / AliceVision: a .sfm file (JSON) with poses, and the photographs.
 
 Source: AliceVision's sfmDataIO (jsonIO.cpp, CHANGES.md, and the files of all versions in compatibilityData) and its
-camera models. Poses are world-to-camera rotations, written column by column, and the cameras' centres, with OpenCV's
-axes. Numbers are texts, and empty lists are empty texts.
+camera models. A pose is a world-to-camera rotation, written column by column, and the camera's centre, with OpenCV's
+axes. Numbers are stored as strings, and empty lists as empty strings.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from mgsr.errors import SceneError
 _POSES = re.compile(rb'"poses"\s*:\s*\[\s*\{')
 _LANDMARKS = re.compile(rb'"structure"\s*:\s*\[\s*\{')
 _JSON = ("sfm.json", "sfmData.json", "cameras.json")
-_SENSOR_WIDTH = 36.0  # millimetres, where a file does not say
+_SENSOR_WIDTH = 36.0  # millimetres, if a file does not give it
 
-# Versions of the files since which ... the focal length has two values; the principal point is counted from the image's
-# middle; the focal length is in millimetres; pixelRatio is fy / fx and not fx / fy; the focal length is that of y.
+# The first version of the files in which the focal length has two values; the origin of the principal point is the
+# middle of the image; the focal length is in millimetres; pixelRatio is fy / fx, not fx / fy; the focal length is fy.
 _TWO_FOCALS, _FROM_MIDDLE, _MILLIMETRES = (1, 2, 0), (1, 2, 1), (1, 2, 2)
 _RATIO_OF_PIXELS, _FOCAL_OF_Y = (1, 2, 5), (1, 2, 11)
 
-# How many terms each kind of distortion has. Files before 1.2.7 name them by the camera's type.
+# The number of terms of each kind of distortion. In files before version 1.2.7, the camera's type gives the kind.
 _TERMS = {"none": 0, "radialk1": 1, "radialk3": 3, "radialk3pt": 3, "brown": 5, "fisheye4": 4, "fisheye1": 1}
 _BY_TYPE = {"pinhole": "none", "radial1": "radialk1", "radial3": "radialk3"} | {
     name: name for name in ("brown", "fisheye4", "fisheye1")
@@ -44,7 +44,7 @@ _UNDISTORT = "add a node ExportImages or PrepareDenseScene, and use its images w
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first .sfm or .json of the folder that has poses; one with landmarks comes first."""
+    """Return the folder's first .sfm or .json file that has poses; files with landmarks come first."""
     names = [path.name for path in sorted(root.glob("[!.]*.sfm"))] + list(_JSON)
     found = [name for name in names if _has(root / name, _POSES)]
     return next((name for name in found if _has(root / name, _LANDMARKS)), found[0] if found else None)
@@ -64,7 +64,7 @@ def read(folder: SceneFolder) -> Capture:
 
 @dataclass(frozen=True)
 class _MeshroomScene:
-    """A scene's intrinsics, poses and rigs, by their numbers as text."""
+    """The content of a file. intrinsics, poses, rigs: by their ids, as text."""
 
     version: tuple[int, ...]
     views: list[dict[str, Any]]
@@ -75,7 +75,7 @@ class _MeshroomScene:
 
 
 def _has(path: Path, part: re.Pattern[bytes]) -> bool:
-    """Return whether a file is AliceVision's and contains `part`."""
+    """Return whether AliceVision wrote a file and it contains `part`."""
     try:
         with path.open("rb") as file:
             if b'"version"' not in file.read(4096):
@@ -125,9 +125,9 @@ def _photo(image: Path, view: dict[str, Any], scene: _MeshroomScene, source: str
 
 
 def _pose(view: dict[str, Any], scene: _MeshroomScene, source: str) -> np.ndarray:
-    """Return cam_from_world [4,4] of a view: its pose, or its place in a rig after the rig's pose.
+    """Return cam_from_world [4,4] of a view: its own pose, or its place in a rig composed with the rig's pose.
 
-    Raises SceneError where it has no pose.
+    Raises SceneError if the view has no pose.
     """
     entry = scene.poses.get(str(view.get("poseId")))
     if entry is None:
@@ -141,7 +141,7 @@ def _pose(view: dict[str, Any], scene: _MeshroomScene, source: str) -> np.ndarra
 
 
 def _place_in_rig(view: dict[str, Any], scene: _MeshroomScene, source: str) -> np.ndarray:
-    """Return the pose [4,4] of a view's camera within its rig. Raises SceneError for an unknown place."""
+    """Return cam_from_rig [4,4] of a view. Raises SceneError if the file lacks its place in the rig."""
     places = _rows(scene.rigs.get(str(view["rigId"]), {}), "subPoses", source)
     index = int(numbers([view.get("subPoseId")], 1, "subPoseId", source)[0])
     if not 0 <= index < len(places):
@@ -152,7 +152,7 @@ def _place_in_rig(view: dict[str, Any], scene: _MeshroomScene, source: str) -> n
 
 
 def _rigid(value: Any, source: str) -> np.ndarray:
-    """Return the pose [4,4] of a rotation and a centre. Raises SceneError for anything else."""
+    """Return the pose [4,4] from an object with rotation and center. Raises SceneError for anything else."""
     if not isinstance(value, dict):
         raise SceneError(
             f"{source}: expected a pose with rotation and center, got {str(value)[:80]!r}; export it again"
@@ -164,9 +164,9 @@ def _rigid(value: Any, source: str) -> np.ndarray:
 def _camera(
     camera: dict[str, Any], version: tuple[int, ...], source: str
 ) -> tuple[np.ndarray, AnyLens | None, tuple[int, int]]:
-    """Return the intrinsics [3,3], pixels, the lens, and the image size (width, height) of a camera.
+    """Return the intrinsics [3,3] in pixels, the lens, and the image size (width, height) of a camera.
 
-    Raises SceneError for camera models that are not supported.
+    Raises SceneError for unsupported camera models.
     """
     width, height = (_one(camera, name, source) for name in ("width", "height"))
     cx, cy = numbers(camera.get("principalPoint"), 2, "principalPoint", source)
@@ -178,7 +178,7 @@ def _camera(
 
 
 def _focal_lengths(camera: dict[str, Any], version: tuple[int, ...], width: float, source: str) -> tuple[float, float]:
-    """Return fx and fy, pixels."""
+    """Return fx and fy in pixels."""
     if version < _TWO_FOCALS:
         focal = _one(camera, "pxFocalLength", source)
         return focal, focal
@@ -200,7 +200,10 @@ def _one(camera: dict[str, Any], name: str, source: str) -> float:
 
 
 def _lens(camera: dict[str, Any], source: str) -> tuple[AnyLens | None, float]:
-    """Return the lens, and the factor of the focal length. Raises SceneError for distortions that are not supported."""
+    """Return the lens, and the factor that it applies to the focal length.
+
+    Raises SceneError for unsupported distortions.
+    """
     kind = _kind(camera, source)
     undone = camera.get("undistortionParams") or []
     if not isinstance(undone, list) or numbers(undone, len(undone), "undistortionParams", source).any():
@@ -212,7 +215,7 @@ def _lens(camera: dict[str, Any], source: str) -> tuple[AnyLens | None, float]:
             return Lens(k1, k2, higher=(k3, t1), fisheye=True), 1.0
         case "fisheye1":
             return FieldOfViewLens(k1) if k1 else None, 1.0
-        case "radialk3pt":  # a radius of 1 stays 1
+        case "radialk3pt":  # this model leaves a radius of 1 unchanged, so the focal length absorbs the sum
             total = 1 + k1 + k2 + k3
             if total <= 0:
                 raise SceneError(f"{source}: distortionParams {given} fold the image over; {_UNDISTORT}")
@@ -221,7 +224,7 @@ def _lens(camera: dict[str, Any], source: str) -> tuple[AnyLens | None, float]:
 
 
 def _zeros(kind: str) -> list[float]:
-    """Return zeros for the terms that a kind of distortion does not have."""
+    """Return zeros for the terms that a kind of distortion lacks."""
     return [0.0] * (5 - _TERMS[kind])
 
 

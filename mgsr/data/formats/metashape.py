@@ -29,7 +29,7 @@ _TERMS = ("f", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first .xml of the folder that begins as Metashape's documents do; one with cameras comes first."""
+    """Return the folder's first .xml file that begins like a Metashape document; files with cameras come first."""
     paths = (path for path in sorted(root.glob("[!.]*.[xX][mM][lL]")) if path.is_file())
     documents = [path for path in paths if _is_document(path)]
     best = min(documents, key=lambda path: not _has_cameras(path), default=None)
@@ -39,9 +39,9 @@ def recognises(root: Path) -> str | None:
 def read(folder: SceneFolder) -> Capture:
     """Read every enabled camera, in the chunk's world frame.
 
-    Its photograph is found by its label anywhere in the folder; where labels repeat, the labels of the camera's groups
-    name its folder. Slaves of multi-camera systems are left out: their sensors give their place relative to a master,
-    in a convention that no export has confirmed yet.
+    A camera's label names its photograph, which may lie anywhere in the folder. If labels repeat, the labels of the
+    camera's groups name the photograph's folder. Slaves of multi-camera systems are left out. Their sensors give their
+    place relative to a master, in a convention that no known export confirms.
     """
     name = recognises(folder.root)
     assert name is not None, "read() accepts recognised folders only"
@@ -58,7 +58,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def _cameras(chunk: Element) -> Iterator[tuple[Element, str]]:
-    """Yield all cameras in the file's order, each with its label after those of its groups."""
+    """Yield all cameras in the order of the file, each with its path: the labels of its groups, then its own."""
     waiting = [(item, "") for item in reversed(chunk.findall("cameras"))]
     while waiting:
         item, path = waiting.pop()
@@ -91,7 +91,7 @@ def _has_cameras(path: Path) -> bool:
 
 
 def _decoded(data: bytes, errors: str = "strict") -> str:
-    """Return an XML document's text: UTF-16 with a byte order mark, or UTF-8."""
+    """Decode an XML document: UTF-16 with a byte order mark, or UTF-8."""
     return data.decode("utf-16" if data[:2] in (BOM_UTF16_LE, BOM_UTF16_BE) else "utf-8-sig", errors)
 
 
@@ -113,15 +113,15 @@ def _by_id(chunk: Element, path: str) -> dict[str | None, Element]:
 
 
 def _worlds(chunk: Element) -> dict[str | None, Element]:
-    """Return the world transforms of the chunk's components, by their id; None stands for the chunk itself."""
+    """Return the world transforms of the chunk's components by their ids. The key None stands for the chunk itself."""
     found = {item.get("id"): item.find("transform") for item in chunk.iterfind("components/component")}
     return {key: item for key, item in (found | {None: chunk.find("transform")}).items() if item is not None}
 
 
 def _world(camera: Element, worlds: dict[str | None, Element], source: str) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return rotation [3,3], translation [3] and scale from the camera's component to the world.
+    """Return the rotation [3,3], translation [3] and scale from the camera's component to the world.
 
-    Raises SceneError where the scale is not above 0.
+    Raises SceneError if the scale is not above 0.
     """
     item = worlds.get(camera.get("component_id"), worlds.get(None))
     if item is None:
@@ -155,17 +155,17 @@ def _photo(
 
 
 def _intrinsics(sensor: Element | None, source: str) -> tuple[np.ndarray, Lens | None, tuple[int, int]]:
-    """Return K [3,3], the lens, and the image's size (width, height): the adjusted calibration, else the first one.
+    """Return K [3,3] in pixels, the lens, and the image size (width, height).
 
-    Metashape's p1 and p2 are OpenCV's p2 and p1. Raises SceneError for a missing calibration and for camera types and
-    terms that are not supported.
+    They come from the adjusted calibration, or else from the first one. Metashape's p1 and p2 are OpenCV's p2 and p1.
+    Raises SceneError for a missing calibration, and for unsupported camera types and terms.
     """
     if sensor is None:
         raise SceneError(f"{source}: the file lacks its sensor; export the cameras again")
     found = sensor.findall("calibration")
     item = next((entry for entry in found if entry.get("class") == "adjusted"), found[0] if found else None)
     kind = (None if item is None else item.get("type")) or sensor.get("type") or ""
-    if kind in PANORAMAS:  # these have no calibration, as there is nothing to calibrate
+    if kind in PANORAMAS:  # checked before the calibration, because panoramas have none
         raise SceneError(f"{source}: camera type {kind!r} is not supported: {PANORAMA_CURE}")
     if kind not in _LENSES:
         raise SceneError(f"{source}: camera type {kind!r} is not supported; expected one of {', '.join(_LENSES)}")
@@ -197,7 +197,7 @@ def _size(own: Element | None, shared: Element | None, source: str) -> tuple[int
 
 
 def _numbers(item: Element, name: str, count: int, source: str, default: np.ndarray | None = None) -> np.ndarray:
-    """Return the finite numbers [count] of an element's child; `default` where there is no such child.
+    """Return the finite numbers [count] in an element's child, or `default` if there is no such child.
 
     Raises SceneError for anything else.
     """

@@ -1,4 +1,4 @@
-"""Middlebury multi-view: a `*_par.txt` with a line for each photograph, and the photographs beside it.
+"""Middlebury multi-view: a `*_par.txt` file with one line per photograph, and the photographs beside it.
 
 Source: the README of the Middlebury multi-view stereo data (Seitz et al. 2006).
 """
@@ -22,14 +22,14 @@ _PATTERN = "*_par.txt"
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first *_par.txt of the folder, if there is one."""
+    """Return the folder's first *_par.txt file, or None."""
     return next((path.name for path in sorted(root.glob("[!.]" + _PATTERN)) if path.is_file()), None)
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read a photograph for each line after the first, which counts them: name, K, R and t, row by row.
+    """Read one photograph per line: its name, then K, R and t row by row. The first line counts the others.
 
-    People share parts of these data with the whole file, so any share of the photographs is enough.
+    Published subsets of these data come with the whole file, so any share of the photographs is enough.
     """
     name = recognises(folder.root)
     assert name is not None, "read() accepts recognised folders only"
@@ -62,7 +62,7 @@ def _photo(image: Path, line: Sequence[str], source: str) -> Photo:
     if len(numbers) != 21:
         raise SceneError(f"{source}: expected an image's name and 21 numbers (K, R, t), got {len(numbers)} numbers")
     K, pose = numbers[:9].reshape(3, 3).copy(), np.eye(4)
-    # The data count pixels from the middle of the first one.
+    # The data have pixel centres at 0; MGSR has them at +0.5.
     K[:2, 2] += 0.5 * K[2, 2]
     pose[:3, :3], pose[:3, 3] = numbers[9:18].reshape(3, 3), numbers[18:]
     return Photo(image, K, image_size(image, source), pose, source)

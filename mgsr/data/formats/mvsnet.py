@@ -1,7 +1,7 @@
-"""MVSNet's camera files, cams/00000000_cam.txt, also those of BlendedMVS, DTU and Tanks and Temples.
+"""MVSNet's camera files, cams/00000000_cam.txt, which BlendedMVS, DTU and Tanks and Temples have too.
 
-Source: the README of MVSNet (YoYo000/MVSNet), "File Formats": the extrinsic matrix takes the world to the camera, with
-OpenCV's axes. MVSNet's pixels have their centres at +0.5 (its homography warping).
+Source: the README of MVSNet (YoYo000/MVSNet), "File Formats". The extrinsic matrix maps the world to the camera, with
+OpenCV's axes. Pixel centres are at +0.5, as in MVSNet's homography warping.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _DTU = re.compile(r"rect_\d{3}_(\d|max)_r5000")
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first camera file, if it begins as MVSNet's do."""
+    """Return the first camera file if it begins like MVSNet's."""
     files = _cameras(root)
     return files[0].relative_to(root).as_posix() if files else None
 
 
 def _cameras(root: Path) -> list[Path]:
-    """Return the camera files of the first folder that has some."""
+    """Return the camera files of the first folder that has any."""
     for name in _FOLDERS:
         files = texts_in(root / name, "*_cam.txt")
         if files and head_of(files[0], 64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"extrinsic"):
@@ -42,7 +42,7 @@ def _cameras(root: Path) -> list[Path]:
 def read(folder: SceneFolder) -> Capture:
     """Read every camera file that has a photograph of the same number.
 
-    Photographs with the backdrop masked out, which BlendedMVS has under another name, are not used.
+    BlendedMVS also has photographs with the backdrop masked out, under other names; these are not used.
     """
     files = _cameras(folder.root)
     names = _names(folder.root, [path.name.removesuffix("_cam.txt") for path in files])
@@ -51,10 +51,10 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def _names(root: Path, numbers: list[str]) -> list[str]:
-    """Return the photographs' names, which are the cameras' numbers.
+    """Return the photographs' names: the cameras' numbers.
 
-    In the original DTU layout they are rect_001_3_r5000 for number 0. It has seven lights; the fourth is used, as is
-    usual.
+    In the original DTU layout, number 0 is rect_001_3_r5000. The layout has seven lights; as is usual, the fourth (3)
+    is used.
     """
     lights = {match[1] for path in images_below(root) if (match := _DTU.fullmatch(path.stem))}
     if not lights or not all(number.isdecimal() and len(number) < 10 for number in numbers):
@@ -70,14 +70,14 @@ def _photo(folder: SceneFolder, image: Path, file: Path) -> Photo:
 
 
 def _matrices(file: Path, source: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the extrinsic [4,4] and intrinsic [3,3] matrix. Raises SceneError."""
+    """Return the extrinsic [4,4] and the intrinsic [3,3] matrix. Raises SceneError if one is missing or damaged."""
     lines = [line.strip() for line in read_lines(file)]
     extrinsic, intrinsic = _part(lines, "extrinsic", 4, source), _part(lines, "intrinsic", 3, source)
     return pose_from(extrinsic, "extrinsic", source), matrix_from(intrinsic, 3, 3, "intrinsic", source)
 
 
 def _part(lines: list[str], title: str, count: int, source: str) -> list[list[float]]:
-    """Return the rows of numbers after the line that says `title`. Raises SceneError where there is none."""
+    """Return the `count` rows of numbers after the line `title`. Raises SceneError if there is no such line."""
     if title not in lines:
         raise SceneError(f"{source}: expected a line {title!r} and {count} rows of numbers after it; fix the file")
     start = lines.index(title) + 1

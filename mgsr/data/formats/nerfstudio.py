@@ -21,15 +21,15 @@ _FILE = "transforms.json"
 
 
 def recognises(root: Path) -> str | None:
-    """Return transforms.json, if the folder has it."""
+    """Return transforms.json if the folder has it."""
     return _FILE if (root / _FILE).is_file() else None
 
 
 def read(folder: SceneFolder) -> Capture:
     """Read every frame, in the world frame before `applied_transform` and `applied_scale`.
 
-    The file's own split is used where it names one, and the points of `ply_file_path`. Raises SceneError where a
-    photograph is there twice.
+    The file's own split is used if it names one, and the points of `ply_file_path`. Raises SceneError if two frames
+    share a photograph.
     """
     content = read_content(folder.root / _FILE)
     splits = _splits(content)
@@ -54,9 +54,9 @@ def _points(folder: SceneFolder, content: dict[str, Any]) -> tuple[PointCloud | 
 
 
 def _splits(content: dict[str, Any]) -> dict[str, Split]:
-    """Return each listed name's split; validation frames are tests where there are no others.
+    """Return the split of each listed name. Validation frames serve as test frames if there are no others.
 
-    Raises SceneError where a name is in two lists, or a list is none.
+    Raises SceneError if a name is in two lists, or an entry is not a list.
     """
     lists = {part: content.get(f"{part}_filenames") for part in ("train", "val", "test")}
     if not all(names is None or isinstance(names, list) for names in lists.values()):
@@ -79,7 +79,7 @@ def _key(path: Any) -> str:
 
 
 class _Applied:
-    """Undoes the transform and scale that were applied to the poses when the file was written."""
+    """The transform and scale that the file's writer applied to the poses, which its methods undo."""
 
     def __init__(self, content: dict[str, Any]) -> None:
         source = f"{_FILE}, applied_transform"

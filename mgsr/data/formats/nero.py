@@ -1,8 +1,7 @@
 """NeRO's glossy synthetic scenes: 0-camera.pkl beside 0.png.
 
-Source: NeRO (liuyuan-pal/NeRO), dataset/database.py, GlossySyntheticDatabase: a pickled pair of a pose [3,4] from the
-world to the camera, with OpenCV's axes, and K [3,3]. Its rays go through pixels' centres at +0.5
-(network/renderer.py).
+Source: NeRO (liuyuan-pal/NeRO), dataset/database.py, GlossySyntheticDatabase. A file is a pickled pair: a pose [3,4]
+from the world to the camera, with OpenCV's axes, and K [3,3]. Pixel centres are at +0.5 (network/renderer.py).
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ _SUFFIX = "-camera.pkl"
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first camera file."""
+    """Return the first camera file, or None."""
     files = _cameras(root)
     return files[0].name if files else None
 

@@ -18,22 +18,22 @@ from mgsr.errors import SceneError, in_short
 _FILES = ("cameras_sphere.npz", "cameras.npz")
 _FOLDERS = ("image", "images")
 
-# A matrix takes 256 bytes; a much larger file was made to fill the memory.
+# A matrix takes 256 bytes; the limit stops files that are made to fill the memory.
 _MAX_MATRIX = 1 << 16
-# Factorising a rounded projection matrix leaves this much skew, relative to the focal length: a tenth of a pixel.
+# Factorising a rounded projection matrix leaves up to this much skew, relative to the focal length: a tenth of a pixel.
 _ROUNDING = 1e-4
 
 
 def recognises(root: Path) -> str | None:
-    """Return cameras_sphere.npz, else cameras.npz."""
+    """Return cameras_sphere.npz, else cameras.npz, else None."""
     return next((name for name in _FILES if (root / name).is_file()), None)
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every photograph of image/ by name, with world_mat_0, world_mat_1, ... in the world's frame.
+    """Read the photographs of image/ in the order of their names, with world_mat_0, world_mat_1, ..., in their frame.
 
-    `scale_mat`, which gives the normalisation of other programs, is not needed. Raises SceneError if there is not one
-    image per camera.
+    `scale_mat` holds the normalisation of other programs and is not needed. Raises SceneError if the numbers of images
+    and cameras differ.
     """
     root, name = folder.root, recognises(folder.root)
     assert name is not None, "read() accepts recognised folders only"
@@ -75,7 +75,7 @@ def _images(root: Path, name: str) -> list[Path]:
 
 
 def _masks(folder: SceneFolder, images: list[Path]) -> list[Path | None]:
-    """Find each image's mask, by name or, as in DTU (000000.png, 000.png), by place."""
+    """Find each image's mask by name, else by order, since DTU pairs 000000.png with 000.png."""
     index = MaskIndex(folder)
     masks = [index.find(image) for image in images]
     in_order = images_below(folder.root / "mask")
@@ -93,12 +93,12 @@ def _photo(image: Path, mask: Path | None, matrix: np.ndarray, source: str) -> P
 
 
 def _factorise(projection: np.ndarray, source: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return K [3,3] and cam_from_world [4,4] of a projection matrix [3,4], known up to a factor.
+    """Return K [3,3] and cam_from_world [4,4] of a projection matrix [3,4] that is known up to a factor.
 
-    Source: Hartley and Zisserman, 6.2.4. Raises SceneError where the matrix has NaN or is singular.
+    Source: Hartley and Zisserman, 6.2.4. Raises SceneError if the matrix has NaN or is singular.
     """
     singular = SceneError(f"{source}: the projection matrix has NaN or is singular; export it again")
-    with np.errstate(all="ignore"):  # damaged numbers, which are refused
+    with np.errstate(all="ignore"):  # damaged numbers are refused below
         determinant = np.linalg.det(projection[:, :3])
         if not np.isfinite(projection).all() or determinant == 0:
             raise singular
@@ -114,7 +114,7 @@ def _factorise(projection: np.ndarray, source: str) -> tuple[np.ndarray, np.ndar
         K = K / K[2, 2]
     if abs(K[0, 1]) < _ROUNDING * K[0, 0]:
         K[0, 1] = 0
-    # These matrices count pixels from the middle of the first one.
+    # These matrices have pixel centres at 0; MGSR has them at +0.5.
     K[:2, 2] += 0.5
     return K, pose
 

@@ -1,9 +1,9 @@
-"""NSVF's layout: intrinsics.txt, pose/*.txt and rgb/*; also that of SRN, DeepVoxels, NeRF++ and Plenoxels.
+"""The layout of NSVF: intrinsics.txt, pose/*.txt and rgb/*. SRN, DeepVoxels, NeRF++ and Plenoxels have it too.
 
-Poses map the camera to the world, with OpenCV's axes. Names begin with 0_ in training, 1_ in validation and 2_ in
+Poses map the camera to the world, with OpenCV's axes. Names begin with 0_ for training, 1_ for validation and 2_ for
 testing. Source: the README of NSVF (facebookresearch/NSVF), "Dataset", and its issues 42 and 64. NeRF++ has intrinsics
-for each photograph, and folders train/ and test/ with this layout. Plenoxels (sxyu/svox2) also reads these scenes; its
-pixel centres are at +0.5.
+for each photograph, and folders train/ and test/ with this layout. Plenoxels (sxyu/svox2) reads these scenes with pixel
+centres at +0.5.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class _NsvfSplit(Enum):
 
 @dataclass(frozen=True)
 class _NsvfPhoto:
-    """One photograph. place: the folder that holds pose/ and rgb/; pose: the file of its pose."""
+    """A photograph. place: the folder with pose/ and rgb/. pose: its pose's file. part: its use, None if unknown."""
 
     place: Path
     pose: Path
@@ -44,7 +44,7 @@ class _NsvfPhoto:
 
     @property
     def intrinsics(self) -> Path:
-        """Return the photograph's own file of intrinsics where there is one, else the shared one."""
+        """Return the photograph's own file of intrinsics, or the shared one if it has none."""
         own = (self.place / folder / self.pose.name for folder in _MANY_FILES)
         return next((path for path in own if path.is_file()), self.place / _ONE_FILE)
 
@@ -53,17 +53,17 @@ class _NsvfPhoto:
         return None if self.part is None else Split.TEST if self.part is _NsvfSplit.TEST else Split.TRAIN
 
     def photograph(self, root: Path) -> str:
-        """Return the photograph's path below the root, without extension."""
+        """Return the photograph's path relative to the root, without its extension."""
         folder = next((self.place / name for name in _PHOTOGRAPHS if (self.place / name).is_dir()), self.place)
         return (folder / self.pose.stem).relative_to(root).as_posix()
 
     def as_test(self) -> _NsvfPhoto:
-        """Return the same view for testing."""
+        """Return a copy of the view that is for testing."""
         return replace(self, part=_NsvfSplit.TEST)
 
 
 def recognises(root: Path) -> str | None:
-    """Return the file of intrinsics, if poses lie beside it, here or in train/."""
+    """Return the first file of intrinsics if the folder, or its train/, has intrinsics and poses."""
     places = [place for place in (root, root / "train") if _is_scene(place)]
     return _NsvfPhoto(places[0], _poses(places[0])[0], None).intrinsics.relative_to(root).as_posix() if places else None
 
@@ -78,7 +78,10 @@ def _poses(place: Path) -> list[Path]:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read all training and test views. The validation views are the test where there is no other, else unused."""
+    """Read all training and test views.
+
+    Validation views serve as test views if there are no others; otherwise they are not used.
+    """
     views, notes = _used(_views(folder.root))
     file = views[0].intrinsics.relative_to(folder.root).as_posix()
     found = folder.find_photos(file, [view.photograph(folder.root) for view in views], labels=True)
@@ -87,7 +90,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def _views(root: Path) -> list[_NsvfPhoto]:
-    """Return every view with its split: by the beginning of its name, or by the folder that it lies in."""
+    """Return every view with its split, given by the beginning of its name or by its folder."""
     if _is_scene(root):
         return [_NsvfPhoto(root, pose, _named_part(pose.stem)) for pose in _poses(root)]
     parts = {
@@ -106,9 +109,9 @@ def _named_part(name: str) -> _NsvfSplit | None:
 
 
 def _used(views: list[_NsvfPhoto]) -> tuple[list[_NsvfPhoto], tuple[str, ...]]:
-    """Return the views that train or test, and a note on the others.
+    """Return the training and test views, and a note on the views left out.
 
-    Validation views are tests where there are no test views.
+    Validation views serve as test views if there are no others.
     """
     if not any(view.part is _NsvfSplit.TEST for view in views):
         return [view.as_test() if view.part is _NsvfSplit.VALIDATION else view for view in views], ()

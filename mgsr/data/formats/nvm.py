@@ -1,9 +1,9 @@
-"""VisualSFM: an .nvm and the photographs.
+"""VisualSFM: an .nvm file and the photographs.
 
 Source: VisualSFM's documentation, "NVM format", and the sources of its multicore bundle adjustment (Wu 2011), which
-read and write it. Cameras have OpenCV's axes; the principal point is the image's middle unless the file has a fixed
-calibration. The radial term acts on measured points: undistorted = distorted (1 + r d^2), both over the focal
-length.
+read and write it. Cameras have OpenCV's axes. The principal point is the middle of the image unless the file has a
+fixed calibration. The radial term r acts on measured points: undistorted = distorted (1 + r d^2). Here d is the length
+of the distorted point, and both points are relative to the focal length.
 """
 
 from __future__ import annotations
@@ -24,17 +24,18 @@ from mgsr.data.poses import intrinsics, rigid
 from mgsr.data.scene import PointCloud
 from mgsr.errors import SceneError, in_short
 
-# After the name: focal length, quaternion and centre (or rotation matrix and translation), radial term, a zero.
+# The number of words after a photograph's name: focal length, quaternion and centre (or rotation matrix and
+# translation), radial term, a zero.
 _WORDS = {"NVM_V3": 10, "NVM_V3_R9T": 15}
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first .nvm of the folder with the header of the format."""
+    """Return the folder's first .nvm file with the header of the format."""
     return next((path.name for path in sorted(root.glob("[!.]*.nvm")) if _version(path)), None)
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read the photographs and points of the model with most photographs. Raises SceneError if all are empty."""
+    """Read the photographs and points of the model with the most photographs. Raises SceneError if all are empty."""
     file = recognises(folder.root)
     assert file is not None, "read() accepts recognised folders only"
     content = _content(folder.root / file)
@@ -64,7 +65,7 @@ class _NvmModel:
 
 @dataclass(frozen=True)
 class _Content:
-    """An NVM file's content. calibration: fx, cx, fy, cy of all photographs, as words, where they are fixed."""
+    """The content of an NVM file. calibration: the fixed fx, cx, fy, cy of all photographs as words, or None."""
 
     version: str
     calibration: list[str] | None
@@ -72,7 +73,7 @@ class _Content:
 
 
 def _version(path: Path) -> str | None:
-    """Return the file's NVM version if MGSR reads it, else None."""
+    """Return the version of an NVM file if MGSR reads it, else None."""
     try:
         with path.open("rb") as file:
             head = file.read(100).removeprefix(b"\xef\xbb\xbf").split()
@@ -109,7 +110,7 @@ def _next(lines: Iterator[str]) -> str:
 
 
 def _models(line: str, lines: Iterator[str], version: str) -> Iterator[_NvmModel]:
-    """Yield the models; a count of zero photographs, or the file's end, ends them."""
+    """Yield the models up to a count of zero photographs, or the end of the file."""
     while (count := int(line.split()[0])) > 0:
         cameras = [_camera(_next(lines), version) for _ in range(count)]
         points = int(next(lines, "0").split()[0])
@@ -118,9 +119,9 @@ def _models(line: str, lines: Iterator[str], version: str) -> Iterator[_NvmModel
 
 
 def _camera(line: str, version: str) -> _NvmCamera:
-    """Parse a photograph's line. Raises ValueError where numbers are missing.
+    """Parse a photograph's line. Raises ValueError if numbers are missing.
 
-    VisualSFM writes quotes for blanks in the name; some programs leave the last zero out.
+    VisualSFM replaces blanks in names by quotes. Some programs omit the final zero.
     """
     words = _WORDS[version]
     parts = line.rsplit(maxsplit=words)
@@ -164,7 +165,10 @@ def _photo(image: Path, camera: _NvmCamera, content: _Content, source: str) -> P
 
 
 def _pose(values: np.ndarray, source: str) -> np.ndarray:
-    """Return cam_from_world [4,4] of a quaternion and the camera's centre, or of a rotation and a translation."""
+    """Return cam_from_world [4,4] from a quaternion and the camera's centre, or from a rotation and a translation.
+
+    values: [7] or [12], as the file has them.
+    """
     if len(values) == 12:
         return rigid(values[:9].reshape(3, 3), values[9:])
     return from_center(rotation_of(values[:4], source), values[4:])

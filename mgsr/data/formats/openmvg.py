@@ -1,8 +1,8 @@
 """OpenMVG: sfm_data.json with poses, and the photographs.
 
-Source: OpenMVG's documentation, "sfm_data format", and its headers in cameras/ for the models of lenses. Poses are
-world-to-camera rotations and the cameras' centres, with OpenCV's axes. Principal points are in pixels, and half the
-width and height where they are not known, so the image spans 0 to its width.
+Source: OpenMVG's documentation, "sfm_data format", and its headers in cameras/ for the lens models. A pose is a
+world-to-camera rotation and the camera's centre, with OpenCV's axes. Principal points are in pixels. An unknown one is
+half the width and height, so the image spans 0 to its width.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from mgsr.data.poses import intrinsics
 from mgsr.data.scene import PointCloud
 from mgsr.errors import SceneError
 
-# cereal marks the first occurrence of an object, and then refers to it by its number without the mark.
+# cereal sets this bit in an object's number at its first occurrence. Later references have the number without it.
 _FIRST_TIME = 0x80000000
-# For each model the name of its terms in the file, and how many there are.
+# For each camera model: the name of its distortion terms in the file, and their number.
 _TERMS = {
     "pinhole": ("", 0),
     "pinhole_radial_k1": ("disto_k1", 1),
@@ -38,12 +38,12 @@ _POSES = re.compile(rb'"extrinsics"\s*:\s*\[\s*\{')
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first .json of the folder that is OpenMVG's and has poses."""
+    """Return the folder's first .json file that OpenMVG wrote and that has poses."""
     return next((path.name for path in sorted(root.glob("[!.]*.json")) if _has_poses(path)), None)
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every view that has a pose, and every point; points have no colours."""
+    """Read every view that has a pose, and every point. The points are grey, as the file has no colours."""
     file = recognises(folder.root)
     assert file is not None, "read() accepts recognised folders only"
     scene = _scene(read_json(folder.root / file), file)
@@ -55,7 +55,7 @@ def read(folder: SceneFolder) -> Capture:
 
 @dataclass(frozen=True)
 class _OpenMvgScene:
-    """A scene's intrinsics and poses, by their numbers."""
+    """The content of a file. intrinsics, poses: by their numbers."""
 
     root_path: str
     views: list[dict[str, Any]]
@@ -95,7 +95,7 @@ def _scene(content: Any, file: str) -> _OpenMvgScene:
 
 
 def _entries(content: dict[str, Any], part: str, file: str) -> list[tuple[Any, dict[str, Any]]]:
-    """Return the keys and values of a map as cereal writes it: a list of objects with key and value.
+    """Return the keys and values of a map, which cereal writes as a list of objects with key and value.
 
     Raises SceneError for anything else.
     """
@@ -106,13 +106,13 @@ def _entries(content: dict[str, Any], part: str, file: str) -> list[tuple[Any, d
 
 
 class _Pointers:
-    """Objects that cereal wrote once and refers to by number afterwards."""
+    """Objects that cereal writes once and then refers to by number."""
 
     def __init__(self) -> None:
         self._known: dict[int, Any] = {}
 
     def resolve(self, wrapper: Any, name: str) -> Any:
-        """Return the wrapper's content, given here or where its number came first; None where it is nowhere."""
+        """Return the wrapper's content, or the earlier content of the same number; None if there is neither."""
         if not isinstance(wrapper, dict):
             return None
         number = wrapper.get("id")
@@ -126,7 +126,7 @@ class _Pointers:
 
 
 def _flat(data: Any) -> dict[str, Any]:
-    """Return an object merged with its base classes (value0 and so on), which some versions nest in it."""
+    """Merge an object with its base classes (value0 and so on), which some versions nest in it."""
     if not isinstance(data, dict):
         return {}
     bases = [value for name, value in data.items() if name.startswith("value") and isinstance(value, dict)]
@@ -134,12 +134,12 @@ def _flat(data: Any) -> dict[str, Any]:
 
 
 def _id(value: Any) -> Any:
-    """Return a value if it is a whole number, which can be looked up, else None."""
+    """Return a value if it is a whole number, else None, since other values may not be hashable."""
     return value if isinstance(value, int) else None
 
 
 def _path(root_path: str, view: dict[str, Any]) -> Any:
-    """Return the path of the view's photograph; the file's entry alone if it is not a text."""
+    """Return the path of the view's photograph, or the file's entry as it is if it is not text."""
     name = view.get("filename")
     if not isinstance(name, str) or not root_path or re.match(r"/|[A-Za-z]:|\\", name):
         return name
@@ -159,9 +159,9 @@ def _photo(image: Path, view: dict[str, Any], scene: _OpenMvgScene, source: str)
 
 
 def _camera(camera: dict[str, Any], source: str) -> tuple[np.ndarray, Lens | None]:
-    """Return the intrinsics [3,3], pixels, and the lens of a camera.
+    """Return the intrinsics [3,3] in pixels, and the lens of a camera.
 
-    Raises SceneError for camera models that are not supported.
+    Raises SceneError for unsupported camera models.
     """
     model = camera["model"]
     if model in PANORAMAS:

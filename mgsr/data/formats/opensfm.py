@@ -27,14 +27,14 @@ _FISHEYE = ("fisheye", "fisheye_opencv", "fisheye62")
 
 
 def recognises(root: Path) -> str | None:
-    """Return the path of reconstruction.json, at OpenSfM's or OpenDroneMap's place, or None."""
+    """Return the path of reconstruction.json, where OpenSfM or OpenDroneMap puts it, or None."""
     return next((place for place in _PLACES if (root / place).is_file()), None)
 
 
 def read(folder: SceneFolder) -> Capture:
     """Read the photographs and points of the largest reconstruction, in its frame.
 
-    That is in metres with z up, where OpenSfM knows them.
+    The frame is in metres with z up if OpenSfM could determine them.
     """
     name = recognises(folder.root)
     assert name is not None, "read() accepts recognised folders only"
@@ -58,7 +58,7 @@ def _largest(content: Any, name: str) -> dict[str, Any]:
 
 
 def _maps(*values: Any) -> bool:
-    """Return whether all values are objects of objects."""
+    """Return whether all values are dictionaries of dictionaries."""
     return all(isinstance(value, dict) and all(isinstance(x, dict) for x in value.values()) for value in values)
 
 
@@ -78,9 +78,9 @@ def _photo(image: Path, shot: dict[str, Any], cameras: dict[str, Any], source: s
 
 
 def _camera(camera: dict[str, Any], size: tuple[int, int], source: str) -> tuple[np.ndarray, Lens | None]:
-    """Return K [3,3] and the lens of a camera. Raises SceneError for projections that are not supported.
+    """Return K [3,3] in pixels, and the lens of a camera. Raises SceneError for unsupported projections.
 
-    The file's lengths are in units of the image's larger side, and its principal point is counted from the middle.
+    The file's lengths are in units of the image's larger side. Its principal point is relative to the middle.
     """
     kind = str(camera.get("projection_type"))
     if kind in PANORAMAS:

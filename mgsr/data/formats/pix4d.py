@@ -1,8 +1,8 @@
-"""Pix4D: ..._calibrated_camera_parameters.txt of its params folder, and the photographs.
+"""Pix4D: the file ..._calibrated_camera_parameters.txt of its params folder, and the photographs.
 
 Source: Pix4D's knowledge base, "What does the Output Params Folder contain?" and "How are the Internal and External
-Camera Parameters defined?". Each photograph has ten lines: its name and size, K, three radial and two tangential terms
-as in OpenCV, the camera's position, and the rotation from the world to OpenCV's camera axes. The image spans 0 to its
+Camera Parameters defined?". Each photograph has ten lines: its name and size; K; three radial and two tangential terms
+as in OpenCV; the camera's position; the rotation from the world to OpenCV's camera axes. The image spans 0 to its
 width.
 """
 
@@ -24,12 +24,12 @@ _LINES = 10
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first .txt of the folder that begins as Pix4D's list of calibrated cameras does."""
+    """Return the folder's first .txt file that begins like Pix4D's list of calibrated cameras."""
     return next((path.name for path in sorted(root.glob("[!.]*.txt")) if _is_list(path)), None)
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every camera in the project's frame; the file ..._offset.xyz gives the frame's origin."""
+    """Read every camera in the project's frame, whose origin Pix4D writes to ..._offset.xyz."""
     file = recognises(folder.root)
     assert file is not None, "read() accepts recognised folders only"
     cameras = _cameras(folder.root / file)
@@ -40,7 +40,7 @@ def read(folder: SceneFolder) -> Capture:
 
 @dataclass(frozen=True)
 class _Pix4dCamera:
-    """A photograph's name, and the lines of its camera: size, K (3), radial, tangential, position, rotation (3)."""
+    """A photograph's name, and its camera's lines: size, K (3), radial, tangential, position, rotation (3)."""
 
     name: str
     lines: list[str]

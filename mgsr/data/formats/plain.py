@@ -1,4 +1,4 @@
-"""MGSR's own plain form: cameras.json, a list of views with K, cam_from_world and image (docs/inputs.md)."""
+"""MGSR's own format: cameras.json with a list of views, each with K, cam_from_world and image (docs/inputs.md)."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _FILE = "cameras.json"
 
 
 def recognises(root: Path) -> str | None:
-    """Return cameras.json, if it has "views"; other programs write files of that name too."""
+    """Return cameras.json if it has "views". Other programs write files of that name too."""
     path = root / _FILE
     if not path.is_file():
         return None
     try:
         content = read_json(path)
     except SceneError:
-        return _FILE  # so that reading it reports the mistake
+        return _FILE  # then `read` reports the error
     return _FILE if isinstance(content, dict) and "views" in content else None
 
 
@@ -31,9 +31,9 @@ def read(folder: SceneFolder) -> Capture:
     """Read every view of the file. Raises SceneError if `views` is not a list of objects."""
     views = read_json(folder.root / _FILE)["views"]
     if not isinstance(views, list) or not all(isinstance(view, dict) for view in views):
-        raise SceneError(f"{_FILE}: expected 'views' to be a list of objects with K, cam_from_world and image")
+        raise SceneError(f"{_FILE}: views: expected a list of objects with K, cam_from_world and image; fix the file")
     splits = [_split(view, i) for i, view in enumerate(views)]
-    # If a view names its split, views that name none are for training.
+    # If any view names its split, the views without one are for training.
     default = Split.TRAIN if any(splits) else None
     found = folder.find_photos(_FILE, [view.get("image") for view in views])
     return Capture.of(found, lambda i, path: _photo(folder, path, views[i], i, splits[i] or default))

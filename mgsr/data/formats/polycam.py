@@ -1,6 +1,6 @@
-"""Polycam's raw data: keyframes/ with a JSON for each photograph, camera-to-world, ARKit's axes (OpenGL's).
+"""Polycam's raw data: keyframes/ with a JSON file for each photograph.
 
-Source: the README of Polycam's polyform.
+Poses map the camera to the world, with ARKit's axes, which are OpenGL's. Source: the README of Polycam's polyform.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from mgsr.data.photo_files import SceneFolder
 from mgsr.data.poses import from_opengl, intrinsics
 from mgsr.errors import SceneError
 
-# With the poses that Polycam optimised, where it did; else those of the session.
+# The poses that Polycam optimised come first, then the poses of the recording session.
 _PLACES = (("keyframes/corrected_cameras", "keyframes/corrected_images"), ("keyframes/cameras", "keyframes/images"))
 _CAMERAS = "[!.]*.json"
 
 
 def recognises(root: Path) -> str | None:
-    """Return the folder of cameras, if it and its images are there."""
+    """Return the first folder of cameras that exists together with its images, or None."""
     there = (place for place, images in _PLACES if (root / images).is_dir() and any((root / place).glob(_CAMERAS)))
     return next(there, None)
 

@@ -1,7 +1,7 @@
 """RealityCapture / RealityScan: the CSV of its "Internal/External camera parameters" export, and the photographs.
 
-Source: the export templates that RealityScan 2.2 ships (calibration.xml), which write the same cameras for OpenCV too,
-and "RealityCapture XMP Camera Math" of its knowledge base.
+Source: the export templates that RealityScan 2.2 ships (calibration.xml), which also write the same cameras for OpenCV,
+and "RealityCapture XMP Camera Math" in its knowledge base.
 """
 
 from __future__ import annotations
@@ -24,22 +24,19 @@ from mgsr.errors import SceneError, in_short
 _POSE = ("x", "y", "alt", "heading", "pitch", "roll")
 _NEEDED = ("#name", *_POSE, "f")
 _OPTIONAL = ("px", "py", "k1", "k2", "t1", "t2", "k3", "k4")
-_SINCE_2 = {"yaw": "heading", "f_35mm": "f", "px_norm": "px", "py_norm": "py"}  # names of RealityScan 2 for the same
-_FILM = 36.0  # millimetres: focal lengths refer to 35 mm film, and this is its larger side
+_SINCE_2 = {"yaw": "heading", "f_35mm": "f", "px_norm": "px", "py_norm": "py"}  # RealityScan 2's names for columns
+_FILM = 36.0  # millimetres: the larger side of 35 mm film, to which focal lengths refer
 
 
 def recognises(root: Path) -> str | None:
-    """Return the folder's first .csv with the required columns in its header.
-
-    Without one, return the first with one of RealityCapture's other headers.
-    """
+    """Return the folder's first .csv file with the required columns, else the first with a RealityCapture header."""
     paths = (path for path in sorted(root.glob("[!.]*.[cC][sS][vV]")) if path.is_file())
     found = [(path.name, header) for path in paths if (header := _header(path))]
     return min(found, key=lambda item: not item[1].fits)[0] if found else None
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every row's photograph, found by name anywhere in the folder, in the frame of the export (z up)."""
+    """Read the photograph of every row in the export's frame, z up. Photographs may lie anywhere in the folder."""
     name = recognises(folder.root)
     assert name is not None, "read() accepts recognised folders only"
     rows = _rows(folder.root / name)
@@ -49,21 +46,21 @@ def read(folder: SceneFolder) -> Capture:
 
 @dataclass(frozen=True)
 class _Header:
-    """The line with the columns' names: how many lines stand before it, and the names in lower case."""
+    """The header of a table. line: the number of lines before it. columns: the names in lower case."""
 
     line: int
     columns: tuple[str, ...]
 
     @property
     def fits(self) -> bool:
-        """Return whether all needed columns are there."""
+        """Return whether all required columns exist."""
         return set(_NEEDED) <= set(self.columns)
 
 
 def _header(path: Path) -> _Header | None:
-    """Return the header in the first line, or in the second after a count of the cameras.
+    """Return the header from the first line, or from the second after a count of the cameras.
 
-    It is None if the line is not RealityCapture's.
+    Returns None if neither line is a header of RealityCapture.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -105,10 +102,10 @@ def _photo(row: dict[str, str], image: Path, source: str) -> Photo:
     size = image_size(image, source)
     x, y, alt, heading, pitch, roll = (_value(row, name, source) for name in _POSE)
     pose = np.eye(4)
-    # Zero angles look straight down with north at the top; heading turns clockwise.
+    # With zero angles the camera looks straight down, with north at the top. The heading turns clockwise.
     pose[:3, :3] = Rotation.from_euler("ZXY", [-heading, pitch, roll], degrees=True).as_matrix()
     pose[:3, 3] = x, y, alt
-    # The principal point is counted from the middle of the image, in its larger sides.
+    # The principal point is relative to the middle of the image, in units of its larger side.
     side = max(size)
     px, py, k1, k2, t1, t2, k3, k4 = (_value(row, name, source) if name in row else 0.0 for name in _OPTIONAL)
     focal = _value(row, "f", source) / _FILM * side

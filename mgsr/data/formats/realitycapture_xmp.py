@@ -1,9 +1,9 @@
 """RealityCapture / RealityScan: the .xmp files that it writes beside the photographs ("Metadata (XMP)").
 
-Source: "RealityCapture XMP Camera Math" of its knowledge base. The rotation maps the world to the camera's axes, row by
-row, and the position is the camera's centre. The focal length is that of film 36 mm wide. The principal point is
-counted from the middle, in larger sides of the image. Other programs write .xmp files too, and RealityCapture adds its
-values to those, as attributes or as elements.
+Source: "RealityCapture XMP Camera Math" in its knowledge base. The rotation maps the world to the camera's axes, and is
+written row by row. The position is the camera's centre. The focal length refers to film 36 mm wide. The principal
+point is relative to the middle of the image, in units of its larger side. RealityCapture also adds its values to .xmp
+files of other programs, as attributes or as elements.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from mgsr.errors import SceneError
 
 _MARK = b"capturingreality.com/ns/xcr"
 _POSE = re.compile(rb"\bPosition\b")
-_HEAD = 1 << 18  # bytes: metadata is small
+_HEAD = 1 << 18  # bytes that are searched, as the metadata is near the beginning
 _LOOKED_AT = 100
 _FILM = 36.0
 _BROWN = ("brown3", "brown4", "brown3t2", "brown4t2")
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first .xmp with a pose in the folder, or in two or more subfolders of it."""
+    """Return the folder's first .xmp file with a pose; else the first in its subfolders, if two or more have one."""
     if found := _first(root):
         return found.name
     try:
@@ -44,7 +44,7 @@ def recognises(root: Path) -> str | None:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every photograph that has such a file beside it."""
+    """Read every photograph that has an .xmp file of RealityCapture beside it."""
     sidecars = [path for path in _sidecars(folder.root) if _is_camera(path)]
     names = [path.relative_to(folder.root).with_suffix("").as_posix() for path in sidecars]
     found = folder.find_photos("the .xmp files", names, labels=True)
@@ -57,7 +57,7 @@ def _first(folder: Path) -> Path | None:
 
 
 def _sidecars(root: Path) -> list[Path]:
-    """Return every .xmp in the folder; where none there has a camera, those in its subfolders."""
+    """Return every .xmp file of the folder, or of its subfolders if none of the folder has a camera."""
     direct = sorted(root.glob("[!.]*.[xX][mM][pP]"))
     return direct if _first(root) else sorted(root.glob("[!.]*/[!.]*.[xX][mM][pP]"))
 
@@ -66,7 +66,7 @@ def _is_camera(path: Path, also: re.Pattern[bytes] = re.compile(b"")) -> bool:
     """Return whether the file has RealityCapture's values and matches `also`."""
     try:
         with path.open("rb") as file:
-            head = file.read(_HEAD).replace(b"\0", b"")  # UTF-16 too
+            head = file.read(_HEAD).replace(b"\0", b"")  # so that UTF-16 reads like ASCII
     except OSError:
         return False
     return _MARK in head and also.search(head) is not None
@@ -95,7 +95,7 @@ def _photo(image: Path, sidecar: Path, source: str) -> Photo:
 
 
 def _values(root: Element) -> dict[str, str]:
-    """Return RealityCapture's values by name, whether they are attributes or child elements."""
+    """Return RealityCapture's values by their names, from attributes and from elements."""
     found: dict[str, str] = {}
     for element in root.iter():
         for tag, text in ((element.tag, element.text or ""), *element.attrib.items()):
@@ -112,7 +112,7 @@ def _number(values: dict[str, str], name: str, source: str, default: float | Non
 
 
 def _lens(values: dict[str, str], source: str) -> Lens:
-    """Return the lens. Raises SceneError for models that are not supported.
+    """Return the lens. Raises SceneError for unsupported models.
 
     The file's tangential terms are OpenCV's p2 and p1, in this order.
     """

@@ -1,7 +1,7 @@
-"""Record3D (iPhone and iPad): metadata.json of "EXR + JPG", or metadata of an unpacked .r3d file.
+"""Record3D (iPhone and iPad): metadata.json of an "EXR + JPG" export, or metadata of an unpacked .r3d file.
 
 A pose is qx qy qz qw tx ty tz, from the camera to the world, with OpenGL's axes. K is stored by columns. Source: the
-app's author in its repository (marek-simonik/record3d, issues 27, 33, 36 and 64).
+author's answers in the app's repository (marek-simonik/record3d, issues 27, 33, 36 and 64).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _PLACES = ("rgb", "rgbd", "EXR_RGBD/rgb", "images", ".")
 
 
 def recognises(root: Path) -> str | None:
-    """Return metadata.json or metadata, if it has "K" and "poses"; other programs write files of that name too."""
+    """Return metadata.json or metadata if it has "K" and "poses". Other programs write files of these names too."""
     return next((name for name in _FILES if _is_record3d(root / name)), None)
 
 
@@ -38,7 +38,7 @@ def _is_record3d(path: Path) -> bool:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every frame: photographs by number, and intrinsics of the frame where the file has them.
+    """Read every frame, with its photograph by number and its own intrinsics if the file has them.
 
     Raises SceneError if the file has no poses.
     """
@@ -56,7 +56,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def _names(root: Path, count: int) -> list[str]:
-    """Return the frames' photographs in the folder's numbering: 0.jpg or 000000.jpg, from 0 or from 1."""
+    """Return the photographs of the frames. The folder numbers them 0.jpg or 000000.jpg, from 0 or from 1."""
     for place in _PLACES:
         found = {int(path.stem): path for path in photographs_in(root / place) if re.fullmatch(r"\d{1,9}", path.stem)}
         if found:
@@ -77,9 +77,9 @@ def _photo(image: Path, content: dict[str, Any], pose: Any, frame: int, source: 
 
 
 def _intrinsics(content: dict[str, Any], frame: int, source: str) -> np.ndarray:
-    """Return K [3,3] of the frame's fx fy cx cy, or else of the file.
+    """Return K [3,3] in pixels from the frame's fx fy cx cy, or else from the file's K.
 
-    ARKit counts pixels from the upper left corner.
+    The origin of ARKit's pixel coordinates is the upper left corner of the image.
     """
     frames = content.get("perFrameIntrinsicCoeffs")
     if isinstance(frames, list) and frame < len(frames):
@@ -95,7 +95,10 @@ def _size(content: dict[str, Any], image: Path, source: str) -> tuple[int, int]:
 
 
 def _cam_from_world(pose: np.ndarray, source: str) -> np.ndarray:
-    """Return cam_from_world [4,4] of qx qy qz qw tx ty tz. Raises SceneError where all are 0: the app had no pose."""
+    """Return cam_from_world [4,4] from qx qy qz qw tx ty tz.
+
+    Raises SceneError for a zero quaternion, which the app writes for frames without a pose.
+    """
     return from_opengl(rigid(rotation_of(np.roll(pose[:4], 1), source), pose[4:]), source)
 
 

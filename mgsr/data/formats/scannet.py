@@ -1,7 +1,7 @@
 """ScanNet as its SensReader exports it: color/*.jpg, pose/*.txt and intrinsic/intrinsic_color.txt.
 
-Source: ScanNet (ScanNet/ScanNet), SensReader/python: poses take the camera to the world, with OpenCV's axes; frames
-whose tracking was lost have -inf.
+Source: ScanNet (ScanNet/ScanNet), SensReader/python. Poses map the camera to the world, with OpenCV's axes. Frames
+without tracking have -inf.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ _INTRINSICS = (
     *("intrinsics_color.txt", "intrinsic/intrinsics_color.txt"),
 )
 _PLACES = ("color", "rgb", "images", ".")
-_FULL = (1296, 968)  # the photographs of ScanNet's tablets, which many reduce to 640x480
-_LEAST_KEPT = 0.1  # tracking was often lost, which says nothing about the other frames
+_FULL = (1296, 968)  # the size of ScanNet's photographs, which are often reduced to 640x480
+_LEAST_KEPT = 0.1  # low, because ScanNet often loses tracking, and the other frames are good nevertheless
 
 
 def recognises(root: Path) -> str | None:
-    """Return the file of the photographs' intrinsics, if poses lie in pose/."""
+    """Return the file of the photographs' intrinsics if pose/ has poses."""
     name = next((name for name in _INTRINSICS if (root / name).is_file()), None)
     return name if name and texts_in(root / "pose") else None
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every frame that was tracked."""
+    """Read every frame that has a pose."""
     name = recognises(folder.root)
     assert name is not None, "read() accepts recognised folders only"
     K, _ = read_intrinsics(folder.root / name)
@@ -54,11 +54,11 @@ def _photo(image: Path, K: np.ndarray, file: Path) -> Photo:
 
 
 def _for_size(K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return the intrinsics [3,3] for a photograph of `size`, with pixels' centres at +0.5.
+    """Return the intrinsics [3,3] in pixels for a photograph of `size`, with pixel centres at +0.5.
 
-    ScanNet's principal point is the image's middle, but it was computed for a larger image with pixel centres at 0. A
-    point within a pixel of the middle is therefore taken as the middle. Any other principal point has pixel centres
-    at 0, as in ScanNet's programs.
+    ScanNet's principal point is the middle of the image, computed for a larger image with pixel centres at 0. A point
+    within a pixel of the middle is therefore taken as the middle. Any other principal point has pixel centres at 0, as
+    in ScanNet's programs.
     """
     middle = np.array(size) / 2
     if np.abs(K[:2, 2] - middle).max() <= 1:

@@ -1,14 +1,14 @@
 """Pose logs of Tanks and Temples, Open3D and Elastic Reconstruction.
 
-A log has a line of three numbers and a pose for each photograph; photographs come in the order of their names.
+For each photograph, a log has a line of three numbers and a pose. Photographs are in the order of their names.
 
-Poses map the camera to the world, with OpenCV's axes. The line before a pose has the photograph's number, which is 0
-for 000001.jpg. The number is followed by -1 if the photograph has no pose. Source: the benchmark's toolbox
+Poses map the camera to the world, with OpenCV's axes. The line before a pose begins with the photograph's number, which
+is 0 for 000001.jpg. The second number is -1 if the photograph has no pose. Source: the benchmark's toolbox
 (isl-org/TanksAndTemples, convert_to_logfile.py) and its issue 36.
 
 The log holds no intrinsics, so they must lie beside it. The benchmark's download page suggests a focal length of 0.7
-times the width, but its own models have about 0.6 (MVSNet's cameras of Auditorium: 1163 pixels of 1920). The suggestion
-is therefore not used by default.
+times the width. Its own models have about 0.6 (MVSNet's cameras of Auditorium: 1163 pixels of 1920), so the suggestion
+is not used.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ _JSONS = re.compile(r"(.*[_.-])?(intrinsics?|camera)([_.-].*)?\.json", re.IGNORE
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first .log that begins with three whole numbers and four rows of four."""
+    """Return the first .log file that begins with three whole numbers and four rows of four numbers."""
     logs = sorted(root.glob("[!.]*.log"), key=lambda path: ("_COLMAP_SfM" not in path.name, path.name))
     return next((path.name for path in logs if path.is_file() and _FIRST_LINES.match(head_of(path) + b"\n")), None)
 
 
 @dataclass(frozen=True)
 class _LogEntry:
-    """An entry of the log. number: its photograph's, which orders the photographs. pose: its 16 numbers."""
+    """An entry of the log. number: the photograph's number, which gives their order. pose: its 16 numbers, by rows."""
 
     number: int
     pose: list[float]
@@ -62,14 +62,14 @@ class _LogEntry:
 
 @dataclass(frozen=True)
 class _Calibration:
-    """K [3,3] of all photographs, and the size of its image where the file says it."""
+    """The calibration of all photographs: K [3,3] in pixels, and its image size (width, height), None if unknown."""
 
     K: np.ndarray
     size: tuple[int, int] | None
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read the pose of every photograph that has one. Raises SceneError where there are no intrinsics."""
+    """Read the pose of every photograph that has one. Raises SceneError if there are no intrinsics."""
     name = recognises(folder.root)
     assert name is not None, "read() accepts recognised folders only"
     everything = _entries(folder.root / name)
@@ -95,7 +95,7 @@ def _entries(path: Path) -> list[_LogEntry]:
                 f"{path.name}: entry {i}: expected three numbers and four rows of four numbers; copy the file again"
             )
     firsts = [block[0][0] for block in blocks]
-    # Open3D's logs repeat the first number or count from elsewhere; then the order of the entries counts.
+    # Open3D's logs repeat the first number, or do not start from 0. Then the order of the entries counts.
     if sorted(firsts) != [*range(len(blocks))] and not _are_a_choice(firsts):
         firsts = [*range(len(blocks))]
     return [
@@ -105,15 +105,15 @@ def _entries(path: Path) -> list[_LogEntry]:
 
 
 def _are_a_choice(firsts: list[float]) -> bool:
-    """Return whether the entries' first numbers can be photographs' numbers: whole, distinct, with 0 among them."""
+    """Return whether first numbers can number photographs: they are whole and distinct, and one is 0."""
     return 0 in firsts and len(set(firsts)) == len(firsts) and all(0 <= n < 1e6 and n == int(n) for n in firsts)
 
 
 def _photographs(folder: SceneFolder, name: str, order: list[int]) -> dict[int, str]:
-    """Return the photograph of each entry's number, by the order of their names.
+    """Return the photograph of each entry by its number, in the order of the photographs' names.
 
-    They come from the folder that has as many photographs as the log has entries. Without one, they have the
-    benchmark's names if the first folder's photographs do; some may be missing. Raises SceneError otherwise.
+    The first folder with as many photographs as the log has entries is used. Without one, the benchmark's names are
+    used if the first folder's photographs have such names; some may then be missing. Raises SceneError otherwise.
     """
     root = folder.root
     scene = name.removesuffix(".log").removesuffix("_COLMAP_SfM")
@@ -135,7 +135,7 @@ def _photographs(folder: SceneFolder, name: str, order: list[int]) -> dict[int, 
 
 
 def _calibration(root: Path, name: str) -> _Calibration:
-    """Read the intrinsics that lie beside a log. Raises SceneError where there are none."""
+    """Read the intrinsics beside a log. Raises SceneError if there are none."""
     texts = [path for path in texts_in(root, "*") if _TEXTS.fullmatch(path.name)]
     if texts:
         return _Calibration(*read_intrinsics(texts[0]))
@@ -149,7 +149,7 @@ def _calibration(root: Path, name: str) -> _Calibration:
 
 
 def _from_json(content: Any, source: str) -> _Calibration:
-    """Return the intrinsics of Open3D's PinholeCameraIntrinsic, or of fx fy cx cy.
+    """Return the intrinsics from Open3D's PinholeCameraIntrinsic, or from fx fy cx cy.
 
     Open3D stores its matrix by columns. Raises SceneError for anything else.
     """

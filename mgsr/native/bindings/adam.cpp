@@ -17,7 +17,7 @@ using Matrix = Array<float, nb::ndim<2>>;
 using ConstMatrix = Array<const float, nb::ndim<2>>;
 using ConstRow = Array<const float, nb::ndim<1>>;
 
-// Groups gathered by Python, then updated in one call.
+// Groups that Python collects, and that one call then updates.
 class AdamBatch {
  public:
   AdamBatch(float beta1, float beta2, float epsilon) : beta1_(beta1), beta2_(beta2), epsilon_(epsilon) {}
@@ -56,8 +56,8 @@ class AdamBatch {
   std::vector<AdamGroup> groups_;
 };
 
-// One number through the same templates in float64, for the tests of the maths: new value, first, second. step: beta1,
-// beta2, epsilon and root_scale of AdamStep.
+// Applies the same templates to one number in float64, for the tests of the maths. step: beta1, beta2, epsilon and
+// root_scale of AdamStep. Returns the new value, first and second moment.
 std::tuple<double, double, double> adam_double(double value, double gradient, double first, double second, double rate,
                                                const std::tuple<float, float, float, float>& step) {
   const auto [beta1, beta2, epsilon, root_scale] = step;

@@ -1,5 +1,5 @@
-// Array arguments of the bindings, and what every family exposes beside its kernels. Arguments come as handles and are
-// read by name, so that an error names what was expected and what came; the types stand in the stubs.
+// Array arguments of the bindings, and the functions that every family exposes beside its kernels. Arguments come as
+// handles and are read by name, so that an error tells what was expected and what came. The types are in the stubs.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -21,7 +21,7 @@ namespace nb = nanobind;
 template <class T, class... Options>
 using Array = nb::ndarray<T, nb::c_contig, nb::device::cpu, Options...>;
 
-// What came in place of an array: its dtype, shape, layout and place, or the name of another type.
+// Describes an argument for an error: an array's dtype, shape, layout and device, or the name of another type.
 inline std::string describe(nb::handle given) {
   nb::ndarray<nb::ro> array;
   if (given.is_none() || !nb::try_cast(given, array, false)) return nb::type_name(given.type()).c_str();
@@ -48,7 +48,7 @@ template <class A>
   throw nb::type_error((name + ": expected " + expected + ", got " + describe(given)).c_str());
 }
 
-// The array given under a name. It is never converted: the kernel would write to a copy.
+// Reads the array argument of a name. It is never converted, because the kernel would write to a copy.
 template <class A>
 A read(nb::handle given, const char* name) {
   A array;
@@ -56,13 +56,13 @@ A read(nb::handle given, const char* name) {
   return array;
 }
 
-// The same, or an invalid array for None.
+// Reads an array argument; None gives an invalid array.
 template <class A>
 A read_or_none(nb::handle given, const char* name) {
   return given.is_none() ? A() : read<A>(given, name);
 }
 
-// An array that may be None: its pointer, or null.
+// Returns the pointer of an array, or null if it is None.
 template <class A>
 auto pointer_or_null(const A& array) {
   return array.is_valid() ? array.data() : nullptr;
@@ -72,7 +72,7 @@ inline void expect(bool holds, const char* message) {
   if (!holds) throw std::invalid_argument(message);
 }
 
-// isas(), isa(), set_isa(name), set_threads(n): the same in every family.
+// Binds isas(), isa(), set_isa(name), threads() and set_threads(n), which every family has.
 template <class Table>
 void bind_choices(nb::module_& m, IsaChoice<Table>& choice) {
   m.def("isas", [] { return usable_isas(); }, "Variants that this processor runs, fastest first.");
@@ -86,7 +86,7 @@ void bind_choices(nb::module_& m, IsaChoice<Table>& choice) {
 
 }  // namespace mgsr
 
-// The three tables of a family, null where a variant was not compiled.
+// The three tables of a family, null if a variant was not compiled.
 #if defined(MGSR_HAVE_avx512)
 #define MGSR_TABLES(table) &mgsr::avx512::table, &mgsr::avx2::table, &mgsr::baseline::table
 #else

@@ -1,4 +1,4 @@
-// The maths in float64, for its tests: structs of doubles as arrays and lists of numbers.
+// Conversions for the tests of the maths in float64: structs of doubles from and to lists of numbers.
 #pragma once
 
 #include <cstring>

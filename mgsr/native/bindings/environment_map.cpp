@@ -20,7 +20,7 @@ template <class T>
 using Rgb = Array<T, nb::shape<-1, -1, 3>>;
 using Pixels = Array<const int64_t, nb::ndim<1>>;
 
-// The same number of rows and columns.
+// Whether two arrays have the same number of rows and columns.
 template <class A, class B>
 bool same_size(const A& a, const B& b) {
   return a.shape(0) == b.shape(0) && a.shape(1) == b.shape(1);
@@ -81,8 +81,8 @@ void backward(nb::handle lookup, nb::handle v_light, nb::handle v_maps, nb::hand
   choice()->backward(p);
 }
 
-// The maths in float64, for its tests: the places [4] on both maps of a normal [3] seen along ray [2], and the normal's
-// gradient [3] from v_places [4].
+// The maths in float64, for its tests. Returns the places [4] on both maps of a normal [3] seen along a ray [2], and
+// the normal's gradient [3], given v_places [4].
 std::tuple<std::vector<double>, std::vector<double>> places_double(const Doubles& rotation, const Doubles& ray,
                                                                    const Doubles& normal, const Doubles& v_places) {
   expect(rotation.size() == 9 && ray.size() == 2 && normal.size() == 3 && v_places.size() == 4,
@@ -94,13 +94,13 @@ std::tuple<std::vector<double>, std::vector<double>> places_double(const Doubles
   return {{still[0], still[1], held[0], held[1]}, v_normal};
 }
 
-// (texel, slope) of a place.
+// Returns texel_of a place, and its derivative.
 std::tuple<double, double> texel_double(double place, double side) {
   const double texel = texel_of(place, side);
   return {texel, texel_slope(texel, side)};
 }
 
-// The value between corners [4] at x, y, and its derivatives [6] by the corners, x and y.
+// Returns the bilinear value between corners [4] at x, y, and its derivatives [6] with respect to the corners, x and y.
 std::tuple<double, std::vector<double>> bilinear_double(const Doubles& corners, double x, double y) {
   expect(corners.size() == 4, "corners: expected 4 numbers");
   const auto at = struct_of<Corners<double>>(corners), by = bilinear_vjp(1.0, x, y);

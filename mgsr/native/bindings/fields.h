@@ -1,4 +1,4 @@
-// The structs of mgsr/native/structs.py as the bindings read them: field by field, by name.
+// Reads the structs of mgsr/native/structs.py, field by field and by name.
 #pragma once
 
 #include <string>
@@ -10,7 +10,7 @@
 
 namespace mgsr {
 
-// A literal as Python's interned string, made once: Python finds attributes faster by it.
+// Returns a literal as Python's interned string, by which Python finds attributes faster. It is made once.
 inline PyObject* interned(const char* literal) {
   static std::unordered_map<const char*, PyObject*> made;
   PyObject*& name = made[literal];
@@ -18,10 +18,10 @@ inline PyObject* interned(const char* literal) {
   return name;
 }
 
-// What is read is valid as long as the struct.
+// The fields of a Python struct. Values that are read stay valid as long as the struct.
 class Fields {
  public:
-  // name: that of the argument, for errors. It and the fields' names are literals.
+  // name: the argument's name, for errors. It and the names of fields must be literals.
   Fields(nb::handle given, const char* name) : given_(given), name_(name) {}
 
   nb::object get(const char* field) const {
@@ -45,7 +45,7 @@ class Fields {
     return value.is_none() ? A() : read<A>(value, field);
   }
 
-  // A sequence of arrays.
+  // Reads a sequence of arrays.
   template <class A>
   std::vector<A> arrays(const char* field) const {
     std::vector<A> found;
@@ -53,7 +53,7 @@ class Fields {
     return found;
   }
 
-  // The data of an array of any shape that must hold `size` values.
+  // Returns the data of an array of any shape that must hold `size` values.
   template <class T>
   T* data(const char* field, int64_t size) const {
     return sized<T>(get(field), field, size);
@@ -65,7 +65,7 @@ class Fields {
     return value.is_none() ? nullptr : sized<T>(value, field, size);
   }
 
-  // A number, a string, or a sequence or tuple of them.
+  // Reads a number, a string, or a sequence or tuple of them.
   template <class T>
   T value(const char* field) const {
     const nb::object given = get(field);
@@ -100,7 +100,7 @@ class Fields {
   const char* name_;
 };
 
-// A camera's matrices are few numbers, and converted.
+// Reads a camera. Its matrices are converted, since they are small.
 inline Camera<float> camera_of(nb::handle given) {
   using Matrix = Array<const double, nb::ndim<2>>;
   const Fields fields(given, "camera");

@@ -1,4 +1,4 @@
-// One rendered view as Python holds it: what backward needs from forward, opaque there.
+// A rendered view as an opaque Python object, which holds the state that backward needs.
 #pragma once
 
 #include <memory>
@@ -7,7 +7,7 @@
 
 namespace mgsr {
 
-// Owns a rasterizer's state while the view is needed; then the state's memory serves a later one.
+// Owns a rasterizer's state while the view is needed. Then a later view reuses the state's memory.
 template <class State>
 class Frame {
  public:

@@ -1,4 +1,4 @@
-// Python's way to the 3D branch's kernels.
+// Python module mgsr.native._gaussians: the kernels of the 3D branch.
 #include "kernels/gaussians/gaussians.h"
 
 #include <memory>
@@ -93,14 +93,14 @@ void expect_splat(const Doubles& mean, const Doubles& quat, const Doubles& scale
   expect(mean.size() == 3 && quat.size() == 4 && scale.size() == 3, "mean, quat, scale: expected 3, 4 and 3 numbers");
 }
 
-// The projection in float64, for checks of the derivative: x, y, depth, cxx, cxy, cyy, compensation.
+// Projects in float64, for checks of the derivative. Returns x, y, depth, cxx, cxy, cyy, compensation.
 std::vector<double> project_double(const Doubles& mean, const Doubles& quat, const Doubles& scale, const Doubles& camera,
                                    double low_pass) {
   expect_splat(mean, quat, scale);
   return numbers_of(project_gaussian(double_camera(camera), mean.data(), quat.data(), scale.data(), low_pass));
 }
 
-// The gradients of mean, quat and scale from those of the projection.
+// Returns the gradients of mean, quat and scale, given those of the projection.
 std::tuple<std::vector<double>, std::vector<double>, std::vector<double>> project_double_vjp(
     const Doubles& mean, const Doubles& quat, const Doubles& scale, const Doubles& camera, double low_pass,
     const Doubles& v) {

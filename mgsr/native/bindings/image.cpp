@@ -118,9 +118,9 @@ void depth_normals_vjp(nb::handle surface, nb::handle v_normals, nb::handle v_de
   choice()->depth_normals_vjp(p);
 }
 
-// The maths in float64, one case at a time, for its tests.
+// The maths in float64 for its tests, one case per call.
 
-// The value by ssim and by ssim_vjp, and its derivatives [4] by the moments [4].
+// Returns the value by ssim and by ssim_vjp, and its derivatives [4] with respect to the moments [4].
 std::tuple<double, double, std::vector<double>> ssim_double(const Doubles& moments) {
   const auto m = struct_of<SsimMoments<double>>(moments);
   SsimMoments<double> v;
@@ -128,13 +128,14 @@ std::tuple<double, double, std::vector<double>> ssim_double(const Doubles& momen
   return {ssim(m), value, {v.a, v.b, v.squares, v.product}};
 }
 
-// The weight, the pair's value and its derivative.
+// Returns the weight, the pair's value and its derivative.
 std::tuple<double, double, double> tv_double(double difference, double guide_difference) {
   const double weight = tv_weight(guide_difference);
   return {weight, tv_pair(difference, weight), tv_pair_vjp(difference, weight)};
 }
 
-// depths: left, right, up, down. ray: fx, fy, rx, ry. The normal [3], and the depths' gradients [4] from v_normal [3].
+// Returns the normal [3], and the depths' gradients [4], given v_normal [3]. depths: left, right, up, down. ray: fx,
+// fy, rx, ry.
 std::tuple<std::vector<double>, std::vector<double>> depth_normal_double(const Doubles& depths, const Doubles& ray,
                                                                          const Doubles& v_normal) {
   expect(depths.size() == 4 && ray.size() == 4 && v_normal.size() == 3,

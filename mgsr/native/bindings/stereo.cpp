@@ -47,7 +47,7 @@ void expect_size(const A& array, const StereoView& view) {
   expect(int(array.shape(0)) == view.height && int(array.shape(1)) == view.width, "expected images of the view's size");
 }
 
-// The depth and the normal at each pixel of a view, of a struct StereoPlanes.
+// The struct StereoPlanes: the depth and the normal at each pixel of a view.
 template <class T>
 std::pair<T*, T*> planes_of(const Fields& fields, const StereoView& view) {
   const auto depth = fields.array<Grey<T>>("depth");

@@ -1,4 +1,4 @@
-// Python's way to the 2D branch's kernels.
+// Python module mgsr.native._surfels: the kernels of the 2D branch.
 #include "kernels/surfels/surfels.h"
 
 #include <memory>
@@ -77,7 +77,7 @@ void backward(Frame<SurfelState>& frame, nb::handle splats, nb::handle view, nb:
   kernels()->backward(in, *frame, out, v_out, v);
 }
 
-// A splat's frame in float64. mean, quat and scale have 3, 4 and 2 numbers.
+// Returns a splat's frame in float64. mean, quat and scale must have 3, 4 and 2 numbers.
 SurfelFrame<double> frame_double(const Doubles& mean, const Doubles& quat, const Doubles& scale, const Doubles& camera) {
   expect(mean.size() == 3 && quat.size() == 4 && scale.size() == 2, "mean, quat, scale: expected 3, 4 and 2 numbers");
   SurfelFrame<double> f;
@@ -85,12 +85,12 @@ SurfelFrame<double> frame_double(const Doubles& mean, const Doubles& quat, const
   return f;
 }
 
-// The projection in float64, for checks of the derivative: x, y, depth, L[4], g[2], normal[3].
+// Projects in float64, for checks of the derivative. Returns x, y, depth, L[4], g[2], normal[3].
 std::vector<double> project_double(const Doubles& mean, const Doubles& quat, const Doubles& scale, const Doubles& camera) {
   return numbers_of(project_surfel(double_camera(camera), frame_double(mean, quat, scale, camera)));
 }
 
-// The gradients of mean, quat and scale from those of the projection.
+// Returns the gradients of mean, quat and scale, given those of the projection.
 std::tuple<std::vector<double>, std::vector<double>, std::vector<double>> project_double_vjp(
     const Doubles& mean, const Doubles& quat, const Doubles& scale, const Doubles& camera, const Doubles& v) {
   const SurfelFrame<double> f = frame_double(mean, quat, scale, camera);
@@ -100,8 +100,8 @@ std::tuple<std::vector<double>, std::vector<double>, std::vector<double>> projec
   return {v_mean, v_quat, v_scale};
 }
 
-// The disk's image in float64 at r2: x, y, cxx, cxy, cyy relative to the projected centre; empty where the disk reaches
-// the near plane.
+// Returns the disk's image at r2 in float64: x, y, cxx, cxy, cyy relative to the projected centre. The result is empty
+// if the disk reaches the near plane.
 std::vector<double> outline_double(const Doubles& mean, const Doubles& quat, const Doubles& scale, const Doubles& camera,
                                    double r2, double near) {
   SurfelOutline<double> o;

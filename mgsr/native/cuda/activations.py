@@ -1,4 +1,4 @@
-"""Activations of stored parameters on a card, of several tensors in one launch."""
+"""The activations of stored parameters on a GPU, for several tensors in one launch."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def activate_vjp(
     v_used: Sequence[Tensor | None],
     v_stored: Sequence[Tensor],
 ) -> None:
-    """Write the gradients [...] of the stored parameters from those of the activated values, all of equal shapes."""
+    """Write the gradients [...] of the stored parameters, given those of the activated values, in the same shapes."""
     _launch(launcher, "backward", kinds, largest, list(zip(used, v_used, v_stored, strict=True)))
 
 
@@ -56,7 +56,7 @@ def _launch(
     largest: float,
     arrays: Sequence[tuple[Tensor, Tensor | None, Tensor]],
 ) -> None:
-    """Run a kernel on arrays, each with its gradient, if any, and with what is written."""
+    """Run a kernel on arrays. Each comes with its gradient, if any, and with the tensor to write."""
     assert len(arrays) <= MOST_ARRAYS, f"expected at most {MOST_ARRAYS} tensors, got {len(arrays)}"
     params, end = ActivationParams(len(arrays), largest), 0
     for index, (kind, (tensor, gradient, written)) in enumerate(zip(kinds, arrays, strict=True)):

@@ -52,7 +52,7 @@ class VerdictParams(ctypes.Structure):
 
 
 def judge(launcher: Launcher, tensors: Sequence[torch.Tensor]) -> torch.Tensor:
-    """Return whether a number in the tensors is not finite, or has a square that is not: [] bool, not read."""
+    """Return whether the tensors' sum of squares is not finite: [] bool, which the host does not read."""
     assert len(tensors) <= MAX_JUDGED, f"expected at most {MAX_JUDGED} tensors, got {len(tensors)}"
     params, end = SumOfSquaresParams(len(tensors)), 0
     for array, tensor in zip(params.array, tensors, strict=False):
@@ -80,8 +80,8 @@ def update(
 ) -> None:
     """Update parameters in place.
 
-    groups: each one's gradients [rows, columns], rate, and the number of this update, from 1. bad [] bool: whether all
-    gradients count as zero.
+    groups: each with its gradients [rows, columns], its learning rate, and the number of this update, from 1.
+    bad [] bool: whether all gradients count as zero.
     """
     for begin in range(0, len(groups), MAX_GROUPS):
         some = groups[begin : begin + MAX_GROUPS]

@@ -18,10 +18,10 @@ INSTALL = "install MGSR with its cuda extra: pip install 'mgsr[cuda]'"
 def compile_family(family: str, arch: str, cache_dir: Path | None = None) -> bytes:
     """Return the machine code (cubin) of kernels/<family>/<family>.cu for an architecture such as sm_90.
 
-    Taken from the cache on disk when the same sources, options, architecture and NVRTC version were compiled before.
-    Where the cache can't be used, a warning says so once a process. cache_dir: by default `default_cache_dir()`.
+    The code comes from the cache on disk if the same sources, options, architecture and NVRTC version were compiled
+    before. If the cache can't be used, a warning says so once per process. cache_dir: `default_cache_dir()` by default.
 
-    Raises GpuError when NVRTC is missing, doesn't know the architecture, or rejects the source.
+    Raises GpuError if NVRTC is missing, doesn't know the architecture, or rejects the source.
     """
     try:
         from cuda.core import Program, ProgramOptions
@@ -64,9 +64,9 @@ def supported_archs() -> list[str]:
 
 
 def arch_for(major: int, minor: int) -> str:
-    """Return the architecture to compile for, for a card of that compute capability.
+    """Return the architecture to compile for, given a GPU's compute capability.
 
-    It is the card's own, or the nearest one before it of the same major number. Raises GpuError when there is none.
+    It is the GPU's own, or the nearest older one of the same major number. Raises GpuError if there is none.
     """
     archs = supported_archs()
     capable = [arch for arch in archs if arch[3:-1] == str(major) and int(arch[-1]) <= minor]
@@ -80,9 +80,9 @@ def arch_for(major: int, minor: int) -> str:
 
 
 def default_cache_dir() -> Path | None:
-    """Return where machine code is kept: `MGSR_CUDA_CACHE`, or mgsr/cuda in the user's cache folder.
+    """Return the folder of machine code: `MGSR_CUDA_CACHE`, or mgsr/cuda in the user's cache folder.
 
-    None where the user has no home to have one in.
+    Returns None if the user has no home folder.
     """
     if own := os.environ.get("MGSR_CUDA_CACHE"):
         return Path(own)

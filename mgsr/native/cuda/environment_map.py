@@ -56,7 +56,7 @@ class EnvironmentMapKernels:
     def backward(
         self, lookup: EnvironmentMapLookup, v_light: Tensor, v_maps: Tensor | None, v_normals: Tensor | None
     ) -> None:
-        """Write v_maps [2,S,S,3] and v_normals [H,W,3] at the pixels, given v_light [H,W,3]; None: not needed."""
+        """Write v_maps [2,S,S,3] and v_normals [H,W,3] at the pixels, given v_light [H,W,3]; None if not needed."""
         count, normals = _count(lookup), lookup.normals
         cells = places = None
         if v_maps is not None:

@@ -36,7 +36,7 @@ from mgsr.native.structs import (
     GaussianView,
 )
 
-# Floats kept of each pixel at the begin of a bucket, and made ready of each pixel for the backward pass.
+# Floats per pixel: the state at the beginning of a bucket, and the prepared inputs of the backward pass.
 STATE_PLANES = {"single": 5, "dual": 10}
 PIXEL_PLANES = {"single": 5, "dual": 10}
 SPLAT_TENSORS = ("means", "quats", "scales", "opacities", "colors", "refl_opacities", "refl_colors", "weights")
@@ -123,7 +123,7 @@ class GaussianKernels:
     ) -> GaussianForwardState:
         """Render into the images and radii [N], and return the state for `backward`.
 
-        Raises GpuError where the card's memory is too small.
+        Raises GpuError if the card's memory is too small.
         """
         projected = project(self._launcher, "gaussians", GaussianProjectParams, splats_struct(splats, view), radii)
         transmittance = radii.new_empty(projected.height, projected.width)
@@ -141,9 +141,9 @@ class GaussianKernels:
         v_images: GaussianImageGradients,
         v_splats: GaussianGradients,
     ) -> None:
-        """Write the splats' gradients from those of the images; the view is the frame's.
+        """Write the splats' gradients, given those of the images; `view` must be the frame's.
 
-        Raises GpuError where the card's memory is too small.
+        Raises GpuError if the card's memory is too small.
         """
         assert self._keep, "the render was made without a backward pass"
 
@@ -161,7 +161,7 @@ class GaussianKernels:
     def _blend(
         self, frame: GaussianForwardState, background: Tensor, images: GaussianImages, band: Band, keep: bool
     ) -> Blended:
-        """Draw a band's pixels into the images."""
+        """Render a band's pixels into the images."""
         lists, kind = list_tiles(self._launcher, frame.projected, band), _kind(images)
         reached, states = lists.ranges.new_empty(lists.tiles), None
         if keep:

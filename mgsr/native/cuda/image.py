@@ -1,4 +1,4 @@
-"""The CUDA half of the image family: as `mgsr.native._image`, but sums stay on the card."""
+"""The CUDA half of the image family: the same calls as `mgsr.native._image`, but sums stay on the GPU."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class ImageKernels:
     ) -> Sums:
         """Return the mean loss of two images [H,W,3].
 
-        Writes the gradients v_image and v_target [H,W,3] of the loss's sum inside the region; None: not needed.
+        Writes the gradients v_image and v_target [H,W,3] of the loss's sum inside the region; None if not needed.
         """
         image, target, mask, l1_weight, clip, region = pair
         height, width = image.shape[:2]
@@ -114,9 +114,10 @@ class ImageKernels:
     def normal_agreement(
         self, surface: DepthSurface, covered: Tensor, normals: Tensor, from_depth: Tensor, v_depth: Tensor | None
     ) -> Sums:
-        """Return the mean of 1 - n . n_depth over the covered pixels; normals [H,W,3]: n; covered [H,W]: 0 or 1.
+        """Return the mean of 1 - n . n_depth over the covered pixels.
 
-        Writes from_depth [H,W,3] and v_depth [H,W]: the gradients of the sum by n and by the depth, each times -1.
+        normals [H,W,3]: n; covered [H,W]: 0 or 1. Writes from_depth [H,W,3] and v_depth [H,W]: the gradients of the sum
+        with respect to n and to the depth, each times -1.
         """
         depth = surface.depth
         blocks = -(-depth.numel() // PIXEL_THREADS)

@@ -1,4 +1,4 @@
-"""Compiled kernels on disk. A folder that can't be used costs compiling at every start, and nothing else."""
+"""A cache of compiled kernels on disk. If its folder can't be used, kernels are compiled at every start."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ DIGEST_BYTES = hashlib.sha256().digest_size
 
 @cache
 def kernel_cache(folder: Path | None) -> KernelCache:
-    """Return the cache in a folder, made once a process.
+    """Return the cache in a folder, which is made once per process.
 
-    It remembers whether it has told that the folder can't be used.
+    It is shared so that it warns only once if the folder can't be used.
     """
     return KernelCache(folder)
 
@@ -26,11 +26,11 @@ class KernelCache:
     """A cache of machine code by key, on disk.
 
     Processes may share the folder, because files are written atomically. A file ends with a hash of its key and its
-    code. A file that was cut off, altered or renamed is therefore no hit, and is replaced. The hash comes last, so that
-    NVIDIA's tools can read the files.
+    code. A file that is truncated, altered or renamed is therefore a miss, and is replaced. The hash comes last, so
+    that NVIDIA's tools can read the files.
 
-    folder: it is made if it is missing; with None, nothing is kept. No method raises. The system's errors on the folder
-    are logged once.
+    folder: created if it is missing; None disables the cache. No method raises. The first error of the file system is
+    logged.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -39,7 +39,7 @@ class KernelCache:
         self._lock = threading.Lock()
 
     def get(self, key: bytes) -> bytes | None:
-        """Return the machine code of a key; None where there is none that is whole."""
+        """Return the machine code of a key, or None if there is no intact file of it."""
         from cuda.core.utils import FileStreamProgramCache
 
         if self._folder is None:
@@ -54,7 +54,7 @@ class KernelCache:
         return code if digest == _digest(key, code) else None
 
     def put(self, key: bytes, code: bytes) -> None:
-        """Store the machine code of a key, and replace any that the key has."""
+        """Store the machine code of a key, replacing any code stored before."""
         from cuda.core.utils import FileStreamProgramCache
 
         if self._folder is None:

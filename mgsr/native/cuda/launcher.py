@@ -1,4 +1,4 @@
-"""Launching of kernels: every launch goes through a Launcher, which on a card is CudaLauncher."""
+"""Kernel launches, all of which go through a Launcher. On a GPU it is CudaLauncher."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import torch
 from mgsr.errors import GpuError, LostCardError
 from mgsr.native.cuda.compiler import INSTALL, arch_for, compile_family
 
-# After these errors of the driver, a process can't use the card any more.
+# Driver errors after which a process can't use the GPU any more.
 LOST = tuple(
     f"CUDA_ERROR_{name}"
     for name in ("ILLEGAL_ADDRESS", "ILLEGAL_INSTRUCTION", "MISALIGNED_ADDRESS", "LAUNCH_FAILED", "LAUNCH_TIMEOUT")
@@ -24,20 +24,20 @@ LOST = tuple(
 
 # The kernels' parameters are one structure.
 ONE_ADDRESS = ctypes.c_void_p * 1
-# The stream's handle alone: torch.cuda.current_stream makes an object of it, which takes twenty times as long.
+# Returns the stream's handle; torch.cuda.current_stream wraps it in an object, which takes twenty times as long.
 current_stream: Callable[[int], int] = getattr(
     torch._C, "_cuda_getCurrentRawStream", lambda device: torch.cuda.current_stream(device).cuda_stream
 )
 
 
 class Launcher(Protocol):
-    """A machine for kernels of CUDA C++."""
+    """A machine that runs kernels in CUDA C++."""
 
     def launch(self, family: str, kernel: str, blocks: int, threads: int, params: ctypes.Structure) -> None:
         """Run a kernel of kernels/<family>/<family>.cu on `blocks` blocks of `threads` threads.
 
-        It runs after what was launched before; `params` is copied. Nothing is run for 0 blocks. Raises GpuError when it
-        can't be run, and torch.OutOfMemoryError when memory for its code is lacking.
+        It runs after all earlier launches; `params` is copied. 0 blocks run nothing. Raises GpuError if it can't run,
+        and torch.OutOfMemoryError if there is no memory for its code.
         """
 
 
@@ -47,8 +47,8 @@ _chosen: ContextVar[Launcher | None] = ContextVar("launcher", default=None)
 def launcher_for(tensor: torch.Tensor) -> Launcher | None:
     """Return the launcher of the CUDA kernels for a tensor [...], or None for a tensor on the CPU.
 
-    It is that of the tensor's card, or, inside `use_launcher`, the launcher given there. Raises GpuError when the card
-    can't be used.
+    It is the launcher of the tensor's GPU or, inside `use_launcher`, the launcher given there. Raises GpuError if the
+    GPU can't be used.
     """
     chosen = _chosen.get()
     if chosen is not None or tensor.device.type != "cuda":
@@ -58,7 +58,7 @@ def launcher_for(tensor: torch.Tensor) -> Launcher | None:
 
 @contextmanager
 def use_launcher(launcher: Launcher) -> Iterator[None]:
-    """Run the operations of a `with` block as CUDA kernels on `launcher`, wherever their tensors are."""
+    """Run the operations of a `with` block as CUDA kernels on `launcher`, regardless of their tensors' devices."""
     token = _chosen.set(launcher)
     try:
         yield
@@ -73,7 +73,7 @@ def cuda_launcher(device: int) -> CudaLauncher:
 
 
 class CudaLauncher:
-    """A launcher on one card, on torch's current stream there.
+    """A launcher on one GPU, which uses torch's current stream there.
 
     Raises GpuError for a driver older than the compiler, and for a card that the compiler doesn't know.
     """
@@ -96,7 +96,7 @@ class CudaLauncher:
     def launch(self, family: str, kernel: str, blocks: int, threads: int, params: ctypes.Structure) -> None:
         if not blocks:
             return
-        if torch.cuda.current_device() != self._device:  # asked first, since the guard takes longer
+        if torch.cuda.current_device() != self._device:  # checked first, since the guard takes longer
             with torch.cuda.device(self._device):
                 return self.launch(family, kernel, blocks, threads, params)
         if not hasattr(self._ready, "context"):
@@ -115,10 +115,10 @@ class CudaLauncher:
         return bool(self._ask(self._driver.cuDeviceGetAttribute(attribute, card)))
 
     def _make_current(self) -> Any:
-        """Return the card's context, current in this thread.
+        """Make the GPU's context current in this thread, and return it.
 
-        Torch's threads for backward have none until torch itself has launched something there, and the driver refuses a
-        launch without one.
+        Torch's threads for backward have no context until torch itself launches something there, and the driver refuses
+        a launch without a context.
         """
         card = self._ask(self._driver.cuDeviceGet(self._device))
         context = self._ask(self._driver.cuDevicePrimaryCtxRetain(card))
@@ -132,7 +132,7 @@ class CudaLauncher:
             self._modules[family] = ObjectCode.from_cubin(compile_family(family, self._arch), name=family)
         try:
             handle = self._modules[family].get_kernel(kernel).handle
-        except Exception as error:  # cuda-core's own class is private; its text begins with the driver's name for it
+        except Exception as error:  # cuda-core's own class is private; its text begins with the driver's error name
             raise _failure(f"{kernel} cannot be loaded on card {self._device}: {error}") from error
         function = self._kernels[family, kernel] = int(handle)
         return function
@@ -147,9 +147,9 @@ class CudaLauncher:
 
 
 def launch_function() -> Callable[..., int]:
-    """Return the driver's cuLaunchKernel, by ctypes.
+    """Return the driver's cuLaunchKernel as a ctypes function.
 
-    cuda-bindings makes objects of every argument and of the result, which takes longer.
+    cuda-bindings wraps every argument and the result in objects, which takes longer.
     """
     library = ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
     function = library.cuLaunchKernel
@@ -160,9 +160,10 @@ def launch_function() -> Callable[..., int]:
 
 
 def _failure(text: str) -> GpuError | torch.OutOfMemoryError:
-    """Return what the driver says, as the error to raise.
+    """Return the exception for an error text of the driver.
 
-    Memory is short for it where torch keeps it all; whoever can do with less takes torch's error for that.
+    If the driver is out of memory, it is torch's error, since torch may hold the memory, and callers that can do with
+    less memory catch that error.
     """
     if "CUDA_ERROR_OUT_OF_MEMORY" in text:
         return torch.OutOfMemoryError(text)
@@ -170,7 +171,7 @@ def _failure(text: str) -> GpuError | torch.OutOfMemoryError:
 
 
 def compiler_version() -> tuple[int, int]:
-    """Return NVRTC's version, which is that of the CUDA toolkit it belongs to.
+    """Return NVRTC's version (major, minor), which is the version of its CUDA toolkit.
 
     Raises GpuError without NVRTC.
     """
@@ -184,9 +185,9 @@ def compiler_version() -> tuple[int, int]:
 
 
 def check_driver(driver_version: int, compiler: tuple[int, int]) -> None:
-    """Check that a driver is not of an older major version than the compiler, whose machine code it would refuse.
+    """Check that a driver's major version is not older than the compiler's, whose machine code it would refuse.
 
-    driver_version: as cuDriverGetVersion gives it, 12040 for 12.4. Raises GpuError where it is older.
+    driver_version: in the form of cuDriverGetVersion, 12040 for 12.4. Raises GpuError if it is older.
     """
     major, minor = driver_version // 1000, driver_version % 1000 // 10
     if major < compiler[0]:

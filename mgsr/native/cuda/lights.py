@@ -1,4 +1,4 @@
-"""Reflected light and a flash's on rendered images, on a card."""
+"""Reflected light and flash light on rendered images, on a GPU."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class LightUpVjpParams(ctypes.Structure):
 
 
 class LightKernels:
-    """The kernels of reflected light and of a flash's on one launcher."""
+    """The kernels of reflected light and flash light on one launcher."""
 
     def __init__(self, launcher: Launcher) -> None:
         self._launcher = launcher

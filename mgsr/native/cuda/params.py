@@ -1,4 +1,4 @@
-"""Kernel parameters: C structs as ctypes, and tensors as their pointers."""
+"""Kernel parameters: C structs as ctypes structures, and tensors as pointers."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ Double = ctypes.c_double
 
 
 def pointers(*names: str) -> tuple[tuple[str, Any], ...]:
-    """Return the fields of a struct that are pointers, by these names."""
+    """Return pointer fields of a ctypes structure, given their names."""
     return tuple((name, Pointer) for name in names)
 
 
 def pointer(tensor: torch.Tensor | None) -> int | None:
-    """Return where the data of a tensor [...] begins; for None, the null pointer None.
+    """Return the address of a tensor's data [...]; None stays None, the null pointer.
 
-    The tensor must be contiguous and outlive the launch (on a card: stay in use on the stream of the launch, as torch's
-    memory does).
+    The tensor must be contiguous and outlive the launch. On a GPU, torch keeps its memory for the stream of the launch.
     """
     return None if tensor is None else tensor.data_ptr() if tensor.is_contiguous() else _refuse(tensor)
 
@@ -31,7 +30,7 @@ def pointer(tensor: torch.Tensor | None) -> int | None:
 def addresses(*tensors: torch.Tensor | None) -> list[int | None]:
     """Return the `pointer` of each tensor.
 
-    An iteration of training asks for four hundred: at once, they cost half.
+    A training step needs four hundred; in one call, they take half the time.
     """
     return [None if t is None else t.data_ptr() if t.is_contiguous() else _refuse(t) for t in tensors]
 

@@ -1,4 +1,4 @@
-"""Screen-space statistics of each splat for densification, on the card."""
+"""The screen-space statistics of splats for densification, on a GPU."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def gather(
     scale: tuple[float, float],
     bad: Tensor | None,
 ) -> None:
-    """Add |v_means2d [N,2] * scale| to the gradients' sum, and 1 to `seen` where radii [N] > 0, in place.
+    """Add |v_means2d [N,2] * scale| to the sum of gradients, and 1 to `seen` where radii [N] > 0, in place.
 
-    bad [] bool: nothing is added to the sum where it is True.
+    bad [] bool: if it is True, nothing is added to the sum.
     """
     count, arrays = len(statistics.seen), addresses(bad, *statistics)
     params = StatisticsParams(count, pointer(v_means2d), pointer(radii), *scale, *arrays)

@@ -30,7 +30,7 @@ from mgsr.native.cuda.tiles import (
 from mgsr.native.cuda.view import CameraStruct, camera_struct
 from mgsr.native.structs import SurfelGradients, SurfelImageGradients, SurfelImages, SurfelSplats, SurfelView
 
-# Floats kept of each pixel at the begin of a bucket, and made ready of each pixel for the backward pass.
+# Floats per pixel: the state at the beginning of a bucket, and the prepared inputs of the backward pass.
 STATE_PLANES = {"plain": 8, "distortion": 10}
 PIXEL_PLANES = {"plain": 9, "distortion": 11}
 SPLAT_TENSORS = ("means", "quats", "scales", "opacities", "colors")
@@ -123,9 +123,9 @@ class SurfelKernels:
     def forward(
         self, splats: SurfelSplats, view: SurfelView, images: SurfelImages, radii: Tensor
     ) -> SurfelForwardState:
-        """Render into the images and radii [N], and return what `backward` takes.
+        """Render into the images and radii [N], and return the state for `backward`.
 
-        Raises GpuError where the card's memory is too small.
+        Raises GpuError if the card's memory is too small.
         """
         projected = project(self._launcher, "surfels", SurfelProjectParams, _splats_struct(splats, view), radii)
         size = (projected.height, projected.width)
@@ -144,9 +144,9 @@ class SurfelKernels:
         v_images: SurfelImageGradients,
         v_splats: SurfelGradients,
     ) -> None:
-        """Write the splats' gradients from those of the images.
+        """Write the splats' gradients, given those of the images.
 
-        Raises GpuError where the card's memory is too small.
+        Raises GpuError if the card's memory is too small.
         """
         assert self._keep, "the render was made without a backward pass"
 
@@ -170,7 +170,7 @@ class SurfelKernels:
         band: Band,
         keep: bool,
     ) -> Blended:
-        """Draw a band's pixels into the images."""
+        """Render a band's pixels into the images."""
         lists = list_tiles(self._launcher, frame.projected, band)
         kind = "plain" if images.distortion is None else "distortion"
         reached, states = lists.ranges.new_empty(lists.tiles), None

@@ -1,4 +1,4 @@
-"""The loss terms on a card: each leaves its sums and slopes there, and nothing is read."""
+"""The loss terms on a GPU. Their sums and slopes stay on the GPU, and the host reads nothing."""
 
 from __future__ import annotations
 
@@ -96,10 +96,10 @@ class GradientsParams(ctypes.Structure):
 
 @dataclass(slots=True)
 class Sums:
-    """The partial sums of a term that its kernel left on the card.
+    """The partial sums that a term's kernel writes on the GPU, partial [blocks,2] float64: a total and a count.
 
-    The term is the blocks' total over `factor`, over what they counted where `counted`, and over `divisor` [] float32,
-    where that is given; 0 where this is 0. partial [blocks,2] float64.
+    The term is the sum of the totals, divided by `factor`; by the sum of the counts, if `counted`; and by `divisor` []
+    float32, if it is given. It is 0 if the divisor is 0.
     """
 
     partial: Tensor
@@ -110,7 +110,7 @@ class Sums:
 
 @dataclass(slots=True)
 class Part:
-    """A term's part of an image's gradient: factor * slopes, inside the region alone; term: the term's number."""
+    """A term's part of an image's gradient: factor * slopes, only inside the region. term: the term's number."""
 
     slopes: Tensor
     term: int
@@ -148,8 +148,8 @@ class TermKernels:
     ) -> Sums:
         """Return the mean over all pixels of the difference of alpha [H,W] from a mask [H,W].
 
-        weights [H,W]: multiply both; None: 1. entropy: compute the cross entropy instead. Writes the gradient v_alpha
-        [H,W] of the sum; None: not needed.
+        weights [H,W]: factors of both; None means 1. entropy: whether to compute the cross entropy instead. Writes the
+        gradient v_alpha [H,W] of the sum; None if not needed.
         """
         count, partial = alpha.numel(), _partial(alpha)
         inputs = (pointer(alpha), pointer(mask), pointer(weights), entropy)
@@ -157,9 +157,9 @@ class TermKernels:
         return Sums(partial, count)
 
     def squares(self, difference: WeightedDifference, by: float, divisor: Tensor | None, differences: Tensor) -> Sums:
-        """Return the sum of squares of a difference, over `by` and the divisor [].
+        """Return the sum of the squares of a difference, divided by `by` and the divisor [].
 
-        differences [...]: where the difference itself is written.
+        differences [...]: gets the difference itself.
         """
         count, partial = difference.a.numel(), _partial(difference.a)
         inputs = (*addresses(*difference[:4]), difference.offset)
@@ -169,16 +169,16 @@ class TermKernels:
         return Sums(partial, by, divisor=divisor)
 
     def product(self, weight: Tensor, color: Tensor, v_weight: Tensor) -> Sums:
-        """Return the mean of weight [H,W] times color [H,W,3]; write the gradient v_weight [H,W] of the sum."""
+        """Return the mean of weight [H,W] times color [H,W,3], and write the gradient v_weight [H,W] of the sum."""
         count, partial = weight.numel(), _partial(weight)
         arrays = (weight, color, v_weight, partial)
         self._run("terms_product", count, ProductParams(count, *addresses(*arrays)))
         return Sums(partial, 3.0 * count)
 
     def steps(self, maps: Tensor, by: float, v_maps: Tensor | None) -> Sums:
-        """Return the sum of the squared steps between neighbours in maps [M,S,S,C], over `by`.
+        """Return the sum of the squared steps between neighbours in maps [M,S,S,C], divided by `by`.
 
-        Writes the gradient v_maps [M,S,S,C] of the sum; None: not needed.
+        Writes the gradient v_maps [M,S,S,C] of the sum; None if not needed.
         """
         partial = _partial(maps)
         sizes = (maps.shape[0], maps.shape[1], maps.shape[3])
@@ -211,7 +211,7 @@ class TermKernels:
                 params.images += 1
             self._launcher.launch("terms", "terms_gradients", end, THREADS, params)
         gradients = outs[: len(images)]
-        if len(split) > len(images):  # some image has more parts than a kernel takes at once
+        if len(split) > len(images):  # an image has more parts than a kernel takes at once
             gradients = [
                 torch.stack([out for (i, _), out in zip(split, outs, strict=True) if i == index]).sum(dim=0)
                 for index in range(len(images))
@@ -223,19 +223,19 @@ class TermKernels:
 
 
 def _partial(like: Tensor) -> Tensor:
-    """Return room for each block's sums [blocks,2] float64 of a tensor [...]."""
+    """Allocate the sums [blocks,2] float64 of the blocks of a tensor [...]."""
     return like.new_empty(-(-like.numel() // THREADS), 2, dtype=torch.float64)
 
 
 def _at_most(parts: int, image: Image) -> list[Image]:
-    """Return the same image with its parts dealt out to several."""
+    """Split an image into several copies with at most `parts` of its parts each."""
     if len(image.parts) <= parts:
         return [image]
     return [Image(image.shape, image.parts[begin : begin + parts]) for begin in range(0, len(image.parts), parts)]
 
 
 def _as_image(shape: torch.Size) -> tuple[int, int, int]:
-    """Return height, width and channels; what is no image counts as one row of numbers."""
+    """Return height, width and channels; any other tensor counts as one row of numbers."""
     if len(shape) == 3:
         return shape[0], shape[1], shape[2]
     return (shape[0], shape[1], 1) if len(shape) == 2 else (1, shape.numel(), 1)

@@ -1,4 +1,4 @@
-"""The tiles' lists of splats, the same for both branches; sorts and sums are torch's."""
+"""The lists of splats for each tile, which both branches share. Torch sorts them and makes prefix sums."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ TILE, TILE_PIXELS, BUCKET = 16, 256, 32
 PAIR_FIELDS, OUTLINE_FLOATS, RECORD_FLOATS = 16, 12, 16
 THREADS, SPLAT_THREADS, BUCKETS_THREADS = 256, 128, 1024
 BUCKET_WARPS, BUCKET_THREADS = 2, 64
-SHORT_KEYS = 2**15  # tiles that keys of 16 bits tell apart
+SHORT_KEYS = 2**15  # the number of tiles that 16-bit keys can distinguish
 
 
 class TileRows(ctypes.Structure):
-    """The struct of rows of tiles, the end excluded."""
+    """The struct TileRows: rows of tiles, the end excluded."""
 
     _fields_ = (("first", Int), ("end", Int))
 
@@ -79,7 +79,7 @@ class SumParams(ctypes.Structure):
 class Band:
     """A band of an image: rows of tiles from first to end (excluded).
 
-    tile_counts [N] int32: how many of them each splat touches; pairs: the sum.
+    tile_counts [N] int32: the number of its tiles that each splat touches. pairs: the sum of these numbers.
     """
 
     first: int
@@ -88,7 +88,7 @@ class Band:
     pairs: int
 
     def struct(self) -> TileRows:
-        """Return the band as the kernels' parameters take it."""
+        """Return the band as a struct for the kernels' parameters."""
         return TileRows(self.first, self.end)
 
 
@@ -132,30 +132,30 @@ class TileLists:
 
     @property
     def pairs(self) -> int:
-        """Return how many (splat, tile) pairs there are."""
+        """Return the number of (splat, tile) pairs."""
         return self.band.pairs
 
     @property
     def most_buckets(self) -> int:
-        """Return a bound on the number of buckets, which only the card knows."""
+        """Return an upper bound of the number of buckets, which itself is known only on the GPU."""
         return min(self.pairs, self.pairs // BUCKET + self.tiles)
 
     @property
     def bucket_blocks(self) -> int:
-        """Return the blocks of a kernel that takes a bucket to each warp."""
+        """Return the number of blocks of a kernel that runs one warp per bucket."""
         return -(-self.most_buckets // BUCKET_WARPS)
 
 
 @dataclass(frozen=True)
 class Blended:
-    """A band after blending. states: of its pixels at each bucket, only where a backward pass follows."""
+    """A band after blending. states: the pixels' states at each bucket, only if a backward pass follows."""
 
     lists: TileLists
     states: Tensor | None
     reached: Tensor
 
 
-# What every projection writes: the end of its params struct, after the splats.
+# The outputs of every projection, which follow the splats in its params struct.
 PROJECTED = pointers("records", "outlines", "depths", "tile_counts", "radii")
 
 
@@ -164,8 +164,8 @@ def project(
 ) -> Projected:
     """Run a family's projection of its splats struct into radii [N], and sort the splats by depth.
 
-    params: the family's struct of the splats and PROJECTED. The host reads the number of pairs from the card. It waits
-    for nothing else in a rendering. It waits only for the projection, while the card continues with the sort.
+    params: the family's struct of the splats and PROJECTED. The host reads only the number of pairs from the GPU. For
+    this it waits for the projection, while the GPU continues with the sort.
     """
     count = splats.count
     records, outlines = radii.new_empty(count, RECORD_FLOATS), radii.new_empty(count, OUTLINE_FLOATS)
@@ -179,7 +179,7 @@ def project(
 
 
 def splat_blocks(splats: int) -> int:
-    """Return the blocks of SPLAT_THREADS that give each splat a thread."""
+    """Return the number of blocks of SPLAT_THREADS that have a thread for each splat."""
     return -(-splats // SPLAT_THREADS)
 
 
@@ -213,7 +213,7 @@ def sum_pairs(launcher: Launcher, lists: TileLists, pair_gradients: Tensor) -> T
 def read_later(scalar: Tensor) -> Callable[[], int]:
     """Start copying an integer [] to the host, and return a function that waits for it.
 
-    The function waits for nothing that is launched afterwards.
+    The function does not wait for later launches.
     """
     if not scalar.is_cuda:
         return lambda: int(scalar)
@@ -231,10 +231,10 @@ def read_later(scalar: Tensor) -> Callable[[], int]:
 def _fill_lists(
     launcher: Launcher, projected: Projected, band: Band, rows: TileRows, tiles: int, ends: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return a band's lists: each pair's splat [P] in order of tile and depth, and where each tile ends [T]."""
+    """Return a band's entries [P,2], sorted by tile and depth, and the range of each tile in them, [T,2]."""
     order, pairs = projected.order, band.pairs
     splats = order.shape[0]
-    # Short keys: the sort's time grows with their bits.
+    # Short keys are faster, since the sort's time grows with their bits.
     short = tiles <= SHORT_KEYS
     keys = order.new_empty(pairs, dtype=torch.int16 if short else torch.int32)
     owners = order.new_empty(pairs, dtype=torch.int32)

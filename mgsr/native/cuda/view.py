@@ -1,4 +1,4 @@
-"""The camera as kernels read it."""
+"""The camera in the form that kernels read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class CameraStruct(ctypes.Structure):
 
 
 def camera_struct(camera: structs.PinholeCamera) -> CameraStruct:
-    """Return a camera as the kernels' parameters take it."""
+    """Return a camera as a struct for the kernels' parameters."""
     (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = camera.cam_from_world.tolist()
     (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
     return CameraStruct((a, b, c, d, e, f, g, h, i), (x, y, z), fx, fy, cx, cy, camera.width, camera.height)

@@ -1,5 +1,5 @@
-// Front-to-back blending of one splat at one pixel. A splat counts for a pixel where its alpha is at least kMinAlpha; a
-// pixel stops before the first splat that would leave it less than kMinTransmittance.
+// Front-to-back blending of one splat at one pixel. A splat counts at a pixel if its alpha is at least kMinAlpha. A
+// pixel is finished before the first splat that would reduce its transmittance below kMinTransmittance.
 #pragma once
 
 #include "math/macros.h"
@@ -11,15 +11,16 @@ constexpr float kMinAlpha = 1.0f / 255.0f;
 constexpr float kLog2MinAlpha = -7.9943534f;
 constexpr float kMaxAlpha = 0.999f;
 
-// raw: opacity times weight. The result is 0 where the splat does not count.
+// Returns the alpha of a splat, 0 if it does not count. raw: opacity times weight.
 MGSR_HD float counted_alpha(float raw) {
   const float held = raw < kMaxAlpha ? raw : kMaxAlpha;
   return raw >= kMinAlpha ? held : 0.0f;
 }
 
-// Passes a splat of this alpha; transmittance: so far, with a minus where the pixel has stopped. Returns what
-// the splat blends with: 0 in a pixel that has stopped or that stops here. The one fused operation leaves a compiler no
-// choice of rounding, so that the backward pass finds the forward pass's bits again.
+// Composites a splat of this alpha, and updates the transmittance, which is negative once the pixel is finished.
+// Returns the alpha with which the splat blends: 0 if the pixel is finished, or is finished by this splat. The single
+// fused operation leaves the compiler no choice of rounding, so the backward pass reproduces the bits of the forward
+// pass.
 MGSR_HD float transmit(float alpha, float& transmittance) {
   const float after = fma(-alpha, transmittance, transmittance);
   if (after >= kMinTransmittance) {
@@ -30,9 +31,10 @@ MGSR_HD float transmit(float alpha, float& transmittance) {
   return 0.0f;
 }
 
-// The way back through one splat that blends with `alpha`, before which the transmittance was T, and of which a share
-// alpha T adds `gain` each to the loss. behind: what the splats from this one on add up to, and then those behind it.
-// Returns the gradient of the exponent of the splat's weight, which is also that of its opacity times the opacity.
+// The adjoint of one splat that blends with `alpha`. T: the transmittance before it. gain: the derivative of the loss
+// with respect to the splat's share alpha T. behind: the sum of share times gain over this splat and all behind it; on
+// return, only over those behind it. Returns the share, and the gradient of the exponent of the splat's weight, which
+// equals its opacity times the gradient of the opacity.
 struct BlendStep {
   float share, v_exponent;
 };

@@ -4,7 +4,7 @@
 //   dx = (R - L) r + (R + L) / fx e_x,   dy = (D - U) r + (D + U) / fy e_y,
 // so that -(dx x dy), divided by the positive (R + L)(D + U) / (fx fy), is
 //   m = (gx, gy, -(1 + rx gx + ry gy)),  gx = fx (R - L) / (R + L),  gy = fy (D - U) / (D + U).
-// m . r = -1: it faces the camera always and is never short.
+// Since m . r = -1, m always faces the camera and is never short.
 #pragma once
 
 #include "math/macros.h"
@@ -16,13 +16,13 @@ struct DepthNeighbours {
   T left, right, up, down;
 };
 
-// Intrinsics of the camera and the ray (rx, ry, 1) of the pixel.
+// The focal lengths of the camera, and the ray (rx, ry, 1) of the pixel.
 template <class T>
 struct PixelRay {
   T fx, fy, rx, ry;
 };
 
-// n: [3], unit, camera axes. All four depths must be positive. Returns |m|.
+// Writes the normal n [3], unit, in camera axes. All four depths must be positive. Returns |m|.
 template <class T>
 MGSR_HD T depth_normal(const DepthNeighbours<T>& d, const PixelRay<T>& ray, T n[3]) {
   const T gx = ray.fx * (d.right - d.left) / (d.right + d.left);
@@ -33,7 +33,7 @@ MGSR_HD T depth_normal(const DepthNeighbours<T>& d, const PixelRay<T>& ray, T n[
   return length;
 }
 
-// The derivatives of depth_normal by the four depths, times v_n.
+// Returns the gradients of the four depths, given v_n.
 template <class T>
 MGSR_HD DepthNeighbours<T> depth_normal_vjp(const DepthNeighbours<T>& d, const PixelRay<T>& ray, const T v_n[3]) {
   T n[3];

@@ -5,10 +5,10 @@
 
 namespace mgsr {
 
-// Bounds are taken a hair wider than exact, so that rounding never loses a pixel that the blending would keep.
+// Pixels. Bounds are this much wider than exact, so that rounding never loses a pixel that blending would keep.
 constexpr float kOutlineSlack = 2e-3f;
 
-// An ellipse in the form that cutting it into bands needs: no division, two square roots a band.
+// An ellipse in a form that is cheap to cut into bands: two square roots and no division per band.
 template <class T>
 struct EllipseForm {
   T x, y;
@@ -18,7 +18,7 @@ struct EllipseForm {
   T w2, k;     // ... and its half width is sqrt(w2 - k dy^2)
 };
 
-// With the centre at (x, y) and covariance (cxx, cxy, cyy), sqrt(r2) standard deviations out.
+// The ellipse at sqrt(r2) standard deviations from the centre (x, y), with covariance (cxx, cxy, cyy).
 template <class T>
 MGSR_HD EllipseForm<T> make_ellipse(T x, T y, T cxx, T cxy, T cyy, T r2) {
   const T det = cxx * cyy - cxy * cxy, slope = cxy / cyy, k = det / (cyy * cyy), hx = MGSR_SQRT(r2 * cxx);
@@ -27,12 +27,12 @@ MGSR_HD EllipseForm<T> make_ellipse(T x, T y, T cxx, T cxy, T cyy, T r2) {
 
 MGSR_HD float held_between(float x, float low, float high) { return x < low ? low : x > high ? high : x; }
 
-// A range of columns, continuous coordinates; empty when x1 < x0.
+// A range of columns in continuous coordinates; empty if x1 < x0.
 struct Columns {
   float x0, x1;
 };
 
-// The smallest range that holds all of the ellipse's points in the rows [y0, y1].
+// Returns the smallest range that contains all points of the ellipse in the rows [y0, y1].
 MGSR_HD Columns ellipse_columns(const EllipseForm<float>& e, float y0, float y1) {
   const float top = y0 - (e.y + kOutlineSlack), bottom = y1 - (e.y - kOutlineSlack);
   const float reach = e.hy + kOutlineSlack, low = top > -reach ? top : -reach, high = bottom < reach ? bottom : reach;

@@ -1,14 +1,15 @@
-// The environment map that a surface reflects: where it throws the line of sight to, and what two maps of directions show there.
+// The environment map that a surface reflects: the direction of the reflected line of sight, and two maps of
+// directions.
 //
-// A map is the octahedron |x| + |y| + |z| = 1 seen from +z, its far half folded out over the corners of the square
-// -1..1. One map stands still in the scene; the other is held by the camera, its middle the way back to the camera.
+// A map is the octahedron |x| + |y| + |z| = 1 seen from +z, with its far half folded out over the corners of the square
+// -1..1. One map is fixed in the scene. The other is fixed to the camera; its middle is the direction to the camera.
 #pragma once
 
 #include "math/macros.h"
 
 namespace mgsr {
 
-// Square of the length under which a normal counts as this long, so that none at all gives finite numbers.
+// The least squared length of a normal. Shorter normals count as this long, so that a zero normal gives finite numbers.
 constexpr double kShortestNormal = 1e-12;
 
 template <class T>
@@ -19,7 +20,7 @@ struct OctahedralPlace {
   T place[2];
 };
 
-// d: a direction of any length; where |x| + |y| + |z| is less than `least`, that is taken instead.
+// Projects a direction d of any length to the map. least: the lower limit of |x| + |y| + |z|.
 template <class T>
 MGSR_HD OctahedralPlace<T> octahedral(const T d[3], T least) {
   OctahedralPlace<T> o;
@@ -34,7 +35,7 @@ MGSR_HD OctahedralPlace<T> octahedral(const T d[3], T least) {
   return o;
 }
 
-// v_d += the derivative. On an edge of the octahedron, that of one of the faces that meet there.
+// Adds the gradient of d to v_d. On an edge of the octahedron it is the gradient on one of the adjacent faces.
 template <class T>
 MGSR_HD void octahedral_vjp(const OctahedralPlace<T>& o, const T v_place[2], T v_d[3]) {
   const T turn = -o.sign[0] * o.sign[1];
@@ -45,17 +46,17 @@ MGSR_HD void octahedral_vjp(const OctahedralPlace<T>& o, const T v_place[2], T v
   v_d[2] -= along * o.sign[2] * o.inverse;
 }
 
-// A reflected line of sight: its places on both maps, and what their derivative needs.
+// A reflected line of sight: its places on both maps, and the intermediate values that the derivative needs.
 template <class T>
 struct EnvironmentMapSight {
-  T ray[2];             // the sight (x, y, 1), camera axes
+  T ray[2];             // the line of sight (x, y, 1), camera axes
   T n[3];               // the normal, camera axes
   T across, square;     // n . ray; |n|^2, at least kShortestNormal
-  OctahedralPlace<T> still, held;
+  OctahedralPlace<T> still, held;  // on the scene's map and on the camera's
 };
 
-// R: cam_from_world, row-major. normal: world, of any length. The sight is reflected to |n|^2 ray - 2 (n . ray) n, whose
-// length doesn't matter.
+// R: cam_from_world, row-major. normal: world frame, of any length. The reflected line of sight is
+// |n|^2 ray - 2 (n . ray) n; its length has no effect.
 template <class T>
 MGSR_HD EnvironmentMapSight<T> reflect_sight(const T R[9], const T ray[2], const T normal[3]) {
   EnvironmentMapSight<T> m;
@@ -73,7 +74,7 @@ MGSR_HD EnvironmentMapSight<T> reflect_sight(const T R[9], const T ray[2], const
   return m;
 }
 
-// v_normal = the derivative, from those by the places on the maps.
+// Writes the gradient of the normal, given the gradients of the places on the maps.
 template <class T>
 MGSR_HD void reflect_sight_vjp(const T R[9], const EnvironmentMapSight<T>& m, const T v_still[2], const T v_held[2], T v_normal[3]) {
   T v_world[3] = {T(0), T(0), T(0)}, v[3] = {T(0), T(0), T(0)}, v_n[3];
@@ -89,27 +90,27 @@ MGSR_HD void reflect_sight_vjp(const T R[9], const EnvironmentMapSight<T>& m, co
   for (int i = 0; i < 3; ++i) v_normal[i] = R[i] * v_n[0] + R[3 + i] * v_n[1] + R[6 + i] * v_n[2];
 }
 
-// Where a place -1..1 lies among `side` texels, whose centres are the whole numbers: held between the outermost ones.
-// NaN gives 0.
+// Returns the texel coordinate of a place -1..1 on a side of `side` texels, with texel centres at whole numbers. It is
+// clamped to the outermost texels, and NaN gives 0.
 template <class T>
 MGSR_HD T texel_of(T place, T side) {
   const T texel = (place * side + side - T(1)) * T(0.5), last = side - T(1);
   return select(texel > T(0), select(texel < last, texel, last), T(0));
 }
 
-// The derivative of texel_of by the place, from its result: none where it was held.
+// Returns the derivative of texel_of with respect to the place, given its result; 0 where it was clamped.
 template <class T>
 MGSR_HD T texel_slope(T texel, T side) {
   return select(texel > T(0), select(texel < side - T(1), side * T(0.5), T(0)), T(0));
 }
 
-// Four neighbouring texels: V is a number, or several channels that count like one.
+// Four neighbouring texels. V is a scalar, or several channels with the operators of a scalar.
 template <class V>
 struct Corners {
   V upper_left, upper_right, lower_left, lower_right;
 };
 
-// x, y: 0..1 from the upper left.
+// Interpolates between the corners at x, y: 0..1 from the upper left.
 template <class V, class T>
 MGSR_HD V bilinear(const Corners<V>& c, T x, T y) {
   const V upper = c.upper_left + (c.upper_right - c.upper_left) * x;
@@ -117,7 +118,7 @@ MGSR_HD V bilinear(const Corners<V>& c, T x, T y) {
   return upper + (lower - upper) * y;
 }
 
-// The derivatives of bilinear by x and y, channel by channel.
+// The derivatives of bilinear with respect to x and y, channel by channel.
 template <class V, class T>
 MGSR_HD void bilinear_slopes(const Corners<V>& c, T x, T y, V& by_x, V& by_y) {
   const V across = c.upper_right - c.upper_left, below = c.lower_right - c.lower_left;
@@ -125,7 +126,7 @@ MGSR_HD void bilinear_slopes(const Corners<V>& c, T x, T y, V& by_x, V& by_y) {
   by_y = (c.lower_left - c.upper_left) + (below - across) * x;
 }
 
-// The derivatives of bilinear by the corners, times v.
+// Returns the gradients of the corners, given the gradient v of bilinear.
 template <class V, class T>
 MGSR_HD Corners<V> bilinear_vjp(V v, T x, T y) {
   const V right = v * x, left = v - right, lower_right = right * y, lower_left = left * y;

@@ -1,4 +1,5 @@
-// The footprint of a projected Gaussian as the blending reads it: at d pixels from the centre its weight is 2^-|root d|^2.
+// The footprint of a projected Gaussian in the form that blending uses: at the offset d in pixels from the centre, its
+// weight is 2^-|root d|^2.
 #pragma once
 
 #include "math/gaussian.h"
@@ -7,8 +8,8 @@ namespace mgsr {
 
 constexpr double kLog2E = 1.4426950408889634;
 
-// root: [3] of the inverse covariance, xx, xy, yy of an upper triangle. Returns the covariance's determinant; unless it is
-// positive, the root means nothing.
+// root: [3] of the inverse covariance, xx, xy, yy of an upper triangle. Returns the covariance's determinant; unless it
+// is positive, the root means nothing.
 template <class T>
 MGSR_HD T footprint_root(const ProjectedGaussian<T>& g, T root[3]) {
   const double scale = 0.84932180028801907;  // sqrt(log2(e) / 2)
@@ -17,16 +18,16 @@ MGSR_HD T footprint_root(const ProjectedGaussian<T>& g, T root[3]) {
   return det;
 }
 
-// Whether the footprint is so much longer than wide (over 30 times, by its root) that the products which take its gradient
-// back lose the longer axis' share in float.
+// Whether the footprint, by its root, is over 30 times as long as wide. The products in its gradient would then lose
+// the contribution of the longer axis in float32.
 template <class T>
 MGSR_HD bool is_needle(const T root[3]) {
   const T trace = root[0] * root[0] + root[1] * root[1] + root[2] * root[2], product = root[0] * root[2];
   return trace * trace > T(1e3) * product * product;
 }
 
-// From the exponent's gradient, by its moments over the pixels' offsets from the centre, to those of the projection (but
-// for its compensation); v_depth is passed on.
+// Returns the gradients of the projection, apart from its compensation. Given are the moments of the exponent's
+// gradient over the pixels' offsets from the centre, and v_depth, which is passed on.
 template <class T>
 MGSR_HD ProjectedGaussian<T> footprint_vjp(const T root[3], T dx, T dy, T dxx, T dxy, T dyy, T v_depth) {
   // exponent (natural) = -0.5 (qxx dx^2 + 2 qxy dx dy + qyy dy^2) in terms of the inverse covariance Q.

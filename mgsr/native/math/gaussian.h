@@ -11,14 +11,14 @@ template <class T>
 struct ProjectedGaussian {
   T x, y, depth;
   T cxx, cxy, cyy;
-  T compensation;  // sqrt(det before the low-pass / det after): what the low-pass adds in energy, to be taken back
+  T compensation;  // sqrt(det before the low-pass / det after): the factor that undoes the energy the low-pass adds
 };
 
-// The intermediate values of the projection that forward and derivative share.
+// Intermediate values that the projection and its derivative share.
 template <class T>
 struct GaussianFrame {
   T p[3];      // mean in the camera
-  T tx, ty;    // x/z and y/z, held near the image where the linearisation is still good
+  T tx, ty;    // x/z and y/z, clamped near the image, where the linearisation is accurate
   Condition<T> held_x, held_y;
   T R[9];      // of the quaternion
   T M[6];      // J times the camera's rotation, [2,3]
@@ -72,8 +72,8 @@ MGSR_HD ProjectedGaussian<T> project_gaussian(const Camera<T>& cam, const T mean
   return g;
 }
 
-// Adds to v_mean[3], v_quat[4], v_scale[3] what the gradients `v` of the projected values (all but x's and y's are of
-// the low-passed covariance) mean for them.
+// Adds the gradients of the parameters to v_mean[3], v_quat[4] and v_scale[3], given the gradients `v` of the projected
+// values. The covariance in `v` is the low-passed one.
 template <class T>
 MGSR_HD void project_gaussian_vjp(const Camera<T>& cam, const T mean[3], const T quat[4], const T scale[3], T low_pass,
                                   const ProjectedGaussian<T>& v, T v_mean[3], T v_quat[4], T v_scale[3]) {
@@ -86,7 +86,7 @@ MGSR_HD void project_gaussian_vjp(const Camera<T>& cam, const T mean[3], const T
     const T xy = A[0] * A[3] + A[1] * A[4] + A[2] * A[5];
     const T yy = A[3] * A[3] + A[4] * A[4] + A[5] * A[5];
     const T det0 = xx * yy - xy * xy, det = (xx + low_pass) * (yy + low_pass) - xy * xy;
-    const Condition<T> flat = det0 <= T(0);  // no energy before the low-pass, nor any gradient
+    const Condition<T> flat = det0 <= T(0);  // without energy before the low-pass, there is no gradient
     const T i0 = select(flat, T(0), T(1) / det0), i = T(1) / det;
     const T half = select(flat, T(0), T(0.5) * MGSR_SQRT(det0 * i) * v.compensation);
     v_xx += half * (yy * i0 - (yy + low_pass) * i);
@@ -107,7 +107,7 @@ MGSR_HD void project_gaussian_vjp(const Camera<T>& cam, const T mean[3], const T
       v_M[3 * i + j] = v_B[3 * i] * f.R[3 * j] + v_B[3 * i + 1] * f.R[3 * j + 1] + v_B[3 * i + 2] * f.R[3 * j + 2];
   quat_to_rotation_vjp(quat, v_R, v_quat);
 
-  // M's rows are (f/z) (axis - t * z-axis): through f/z, and through t where it was not held.
+  // M's rows are (f/z) (axis - t * z-axis). The gradient passes through f/z, and through t if it was not clamped.
   const T iz = T(1) / f.p[2];
   const T mx = v_M[0] * f.M[0] + v_M[1] * f.M[1] + v_M[2] * f.M[2];
   const T my = v_M[3] * f.M[3] + v_M[4] * f.M[4] + v_M[5] * f.M[5];
@@ -116,7 +116,7 @@ MGSR_HD void project_gaussian_vjp(const Camera<T>& cam, const T mean[3], const T
   v_tx = select(f.held_x, T(0), v_tx);
   v_ty = select(f.held_y, T(0), v_ty);
   T v_p[3];
-  const T v_ux = v_tx + cam.fx * v.x, v_uy = v_ty + cam.fy * v.y;  // of x/z and y/z
+  const T v_ux = v_tx + cam.fx * v.x, v_uy = v_ty + cam.fy * v.y;  // gradients of x/z and y/z
   v_p[0] = v_ux * iz;
   v_p[1] = v_uy * iz;
   v_p[2] = v.depth - iz * (mx + my) - iz * iz * (v_ux * f.p[0] + v_uy * f.p[1]);

@@ -1,21 +1,22 @@
-// Real spherical harmonics of degree 0 to 3 (sign convention of splat files: y, z, x order, Condon-Shortley phase).
-// T is float, double or a vector of floats: only + - * and comparisons are used, and the literals are floats
-// so that they meet every T (in double they cost 1e-8 relative).
+// Real spherical harmonics of degree 0 to 3, in the sign convention of splat files: y, z, x order, Condon-Shortley
+// phase.
+// T is float, double or a vector of floats, so only + - * and comparisons are used. The literals are floats, which
+// combine with every T; in double they cause a relative error of 1e-8.
 #pragma once
 
 #include "math/macros.h"
 
 namespace mgsr {
 
-// 1 / |(dx, dy, dz)|; a zero vector gives a large finite number, so that its direction comes out zero.
+// Returns 1 / |(dx, dy, dz)|. A zero vector gives a large finite number, so its direction is zero.
 template <class T>
 MGSR_HD T inverse_length(T dx, T dy, T dz) {
   const T squared = dx * dx + dy * dy + dz * dz;
   return T(1) / MGSR_SQRT(squared < T(1e-24f) ? T(1e-24f) : squared);
 }
 
-// v_d += derivative of (dx, dy, dz) * inverse_length, given the unit vector u and its inverse length; none where the
-// length was too short to be a direction.
+// Adds to v_d the gradient through (dx, dy, dz) * inverse_length, given the unit vector u and the inverse length. A
+// vector too short to have a direction gets no gradient.
 template <class T>
 MGSR_HD void unit_vector_vjp(const T u[3], T inverse, const T v_u[3], T v_d[3]) {
   const T along = u[0] * v_u[0] + u[1] * v_u[1] + u[2] * v_u[2];
@@ -23,7 +24,7 @@ MGSR_HD void unit_vector_vjp(const T u[3], T inverse, const T v_u[3], T v_d[3]) 
   for (int i = 0; i < 3; ++i) v_d[i] += (v_u[i] - along * u[i]) * factor;
 }
 
-// b: [(D+1)^2], the basis functions along the unit vector u.
+// Writes the basis functions in the direction of the unit vector u to b [(D+1)^2].
 template <int D, class T>
 MGSR_HD void harmonics_basis(const T u[3], T* b) {
   const T x = u[0], y = u[1], z = u[2];
@@ -52,7 +53,7 @@ MGSR_HD void harmonics_basis(const T u[3], T* b) {
   }
 }
 
-// v_u += derivative of the basis along u.
+// Adds to v_u the gradient of u, given the gradients v [(D+1)^2] of the basis functions.
 template <int D, class T>
 MGSR_HD void harmonics_basis_vjp(const T u[3], const T* v, T v_u[3]) {
   const T x = u[0], y = u[1], z = u[2];
@@ -94,7 +95,8 @@ MGSR_HD void harmonics_to_rgb(const T* coeffs, const T u[3], T rgb[3]) {
   }
 }
 
-// v_coeffs = and v_u += the derivatives of harmonics_to_rgb, whose result is rgb (a channel cut at 0 passes nothing).
+// Writes v_coeffs and adds to v_u the gradients through harmonics_to_rgb, whose result is rgb. A channel that is
+// clipped at 0 passes no gradient.
 template <int D, class T>
 MGSR_HD void harmonics_to_rgb_vjp(const T* coeffs, const T u[3], const T rgb[3], const T v_rgb[3], T* v_coeffs,
                                   T v_u[3]) {

@@ -1,10 +1,11 @@
-// What every maths header needs. No CUDA, torch, standard-library or binding header: NVRTC includes these too.
+// Definitions for every maths header. They may include no CUDA, torch, standard-library or binding header, because
+// NVRTC compiles them too.
 //
-// The scalar T of the maths is float, double, or a class of several lanes that counts like them. For the lanes, a choice
-// is written select(condition, a, b), and a condition's type is Condition<T>.
+// The scalar T of the maths is float, double, or a class of several lanes with the same operators. Because of the
+// lanes, a choice is written select(condition, a, b), and the type of a condition is Condition<T>.
 #pragma once
 
-// `static` keeps each compiled variant's copy its own: the linker must never give AVX-512 code to the baseline.
+// `static` gives each compiled variant its own copy: the linker must never give AVX-512 code to the baseline.
 #if defined(__CUDACC__) || defined(__CUDACC_RTC__)
 #define MGSR_HD static __host__ __device__ __forceinline__
 #define MGSR_MEMBER __host__ __device__ __forceinline__
@@ -34,10 +35,10 @@ MGSR_HD T select(bool condition, T a, T b) {
 
 MGSR_HD bool any(bool condition) { return condition; }
 
-// Quick forms for where the last two bits don't matter: on a card the hardware's own approximations, to which anything
-// under 2^-126 is zero. Their errors: 2^-23 of the square root, 2^-22 of the power, and 2 ulp of the quotient, whose
-// divisor must be less than 2^126. Elsewhere the exact ones, so that the processor's results don't depend on them.
-// rounded_product: one that no compiler fuses with a sum.
+// Fast functions for uses in which the last two bits don't matter. On a GPU they are the hardware's approximations,
+// which treat numbers under 2^-126 as zero. Their relative errors are 2^-23 for the square root and 2^-22 for the
+// power. The quotient has 2 ulp, and its divisor must be less than 2^126. On the CPU they are exact.
+// rounded_product: a product that no compiler fuses with a sum.
 #if defined(__CUDACC_RTC__)
 #define MGSR_APPROXIMATE(instruction, x) \
   float y;                               \

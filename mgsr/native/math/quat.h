@@ -5,8 +5,8 @@
 
 namespace mgsr {
 
-// Divides q into the unit quaternion u and returns the inverse of its length. Squares of numbers under 1e-19 vanish in
-// float and those over 1e19 overflow: such a q is divided by its largest number first.
+// Writes the unit quaternion u and returns the inverse length of q. In float, squares of numbers under 1e-19 vanish and
+// those of numbers over 1e19 overflow, so such a q is divided by its largest number first.
 template <class T>
 MGSR_HD T unit_quat(const T q[4], T u[4]) {
   const T squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
@@ -23,7 +23,7 @@ MGSR_HD T unit_quat(const T q[4], T u[4]) {
   return before * inverse;
 }
 
-// R: [9], row-major. A zero or non-finite quaternion gives a non-finite R, which callers cull.
+// Writes R [9], row-major. A zero or non-finite quaternion gives a non-finite R; callers cull such splats.
 template <class T>
 MGSR_HD void quat_to_rotation(const T q[4], T R[9]) {
   T u[4];

@@ -11,7 +11,7 @@ constexpr int kSsimRadius = 5;
 constexpr float kSsimTaps[kSsimRadius + 1] = {0.0010283801f, 0.0075987581f, 0.0360007721f,
                                               0.1093606895f, 0.2130055377f, 0.2660117249f};
 
-// What a window knows: the means of a, of b, of a^2 + b^2 and of a b.
+// The weighted means over a window of a, b, a^2 + b^2 and a b.
 template <class T>
 struct SsimMoments {
   T a, b, squares, product;
@@ -23,7 +23,7 @@ MGSR_HD T ssim(const SsimMoments<T>& m) {
   return (2.0f * both + 1e-4f) * (2.0f * (m.product - both) + 9e-4f) / ((own + 1e-4f) * (m.squares - own + 9e-4f));
 }
 
-// Derivatives of ssim by its moments, times v. Returns ssim.
+// Writes the gradients of the moments, given the gradient v of ssim. Returns ssim.
 template <class T>
 MGSR_HD T ssim_vjp(const SsimMoments<T>& m, T v, SsimMoments<T>& v_m) {
   const T both = m.a * m.b, own = m.a * m.a + m.b * m.b;

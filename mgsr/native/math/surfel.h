@@ -1,11 +1,11 @@
-// Projection of a 2D surfel (2DGS, Eq. 4-10): where the ray of a pixel meets the splat's plane, in closed form.
+// Projection of a 2D surfel (2DGS, Eq. 4-10): the intersection of a pixel's ray with the splat's plane, in closed form.
 //
 // With H = [s_u t_u, s_v t_v, p] in the camera's frame, a point (u, v) of the splat has homogeneous pixel coordinates
 // M (u, v, 1)^T, M = K H. The two planes through a pixel's column and row, h_u = x M_3 - M_1 and h_v = y M_3 - M_2,
-// meet in h_u x h_v = adj(M) (x, y, 1)^T, which is linear in the pixel. About the projected centre m, and divided by
-// det(M) / depth, it needs six numbers: with d = (x, y) - m and w = 1 + g . d
+// meet in h_u x h_v = adj(M) (x, y, 1)^T, which is linear in the pixel. Relative to the projected centre m, and divided
+// by det(M) / depth, it needs six numbers: with d = (x, y) - m and w = 1 + g . d
 //   (u, v) = L d / w,   depth at the hit = depth of the centre / w,
-// where L and g are the first two columns of depth * M^-1. No quotient of large, nearly equal products is left.
+// where L and g are the first two columns of depth * M^-1. This form has no quotient of large, nearly equal products.
 #pragma once
 
 #include "math/camera.h"
@@ -13,9 +13,9 @@
 
 namespace mgsr {
 
-// Under this |sine| between the viewing ray and the plane nothing but the low-pass is seen of a splat.
+// If |sine| of the angle between viewing ray and plane is less than this, only the low-pass of a splat is drawn.
 constexpr float kEdgeOnSine = 1e-3f;
-// A shorter axis counts as this long: its disk is seen nowhere either way, and its inverse stays finite.
+// The least length of an axis. Such a disk is invisible anyway, and its inverse stays finite.
 constexpr float kShortest = 1e-18f;
 
 template <class T>
@@ -26,14 +26,14 @@ struct ProjectedSurfel {
   T normal[3];    // world frame, towards the camera
 };
 
-// The intermediate values of the projection that forward, outline and derivative share.
+// Intermediate values that the projection, the outline and the derivative share.
 template <class T>
 struct SurfelFrame {
   T p[3];                  // centre in the camera
   T R[9];                  // of the quaternion
   T tu[3], tv[3], n[3];    // the splat's axes in the camera
   T plane;                 // p . n: signed distance of the camera from the plane
-  T facing;                // -1 where n points away from the camera, else 1
+  T facing;                // -1 if n points away from the camera, else 1
   bool edge_on;
   T G[9];                  // H^-1, row-major; zero when edge-on
 };
@@ -56,7 +56,7 @@ MGSR_HD void scaled_cross(const T a[3], const T b[3], T scale, T out[3]) {
   out[2] = scale * (a[0] * b[1] - a[1] * b[0]);
 }
 
-// Only the centre and the axes; cheap enough to ask for them again.
+// Computes the frame. This is cheap enough to repeat instead of storing the result.
 template <class T>
 MGSR_HD void surfel_frame(const Camera<T>& cam, const T mean[3], const T quat[4], const T scale[2], SurfelFrame<T>& f) {
   to_camera(cam, mean, f.p);
@@ -74,7 +74,7 @@ MGSR_HD void surfel_frame(const Camera<T>& cam, const T mean[3], const T quat[4]
   for (int i = 0; i < 3; ++i) f.G[6 + i] = inverse * f.n[i];
 }
 
-// An edge-on splat gets L = 0 and g = 0 and must be drawn by its low-pass alone.
+// Projects a splat. An edge-on splat gets L = 0 and g = 0, and only its low-pass must be drawn.
 template <class T>
 MGSR_HD ProjectedSurfel<T> project_surfel(const Camera<T>& cam, const SurfelFrame<T>& f) {
   ProjectedSurfel<T> s;
@@ -90,9 +90,9 @@ MGSR_HD ProjectedSurfel<T> project_surfel(const Camera<T>& cam, const SurfelFram
   return s;
 }
 
-// Gradients of a projected surfel. W: [3,3], v_A A^T of A = [L; g], which is all that the parameters need of L's and g's
-// gradients. Each pixel adds to it by its (u, v) = L d alone, so that no digits go where a splat is seen from the side, L
-// is large and (u, v) is not.
+// Gradients of a projected surfel. W [3,3] is v_A A^T with A = [L; g]; the parameters need the gradients of L and g
+// only in this form. Each pixel adds to W by its (u, v) = L d. This keeps precision for splats seen from the side, for
+// which L is large but (u, v) is not.
 template <class T>
 struct SurfelPull {
   T x, y, depth;
@@ -100,16 +100,16 @@ struct SurfelPull {
   T normal[3];
 };
 
-// w = 1 + slope . L d, of a splat that is not edge-on.
+// Writes the slope with w = 1 + slope . L d. The splat must not be edge-on.
 template <class T>
 MGSR_HD void surfel_slope(const SurfelFrame<T>& f, const T scale[2], T slope[2]) {
   slope[0] = -at_least(scale[0], T(kShortest)) * f.tu[2] / f.p[2];
   slope[1] = -at_least(scale[1], T(kShortest)) * f.tv[2] / f.p[2];
 }
 
-// Adds to v_mean[3], v_quat[4], v_scale[2] what the gradients `v` of the projected values mean for them.
-// Per entry of M^-1 the derivative is that of an inverse, v_H = -H^-T v_(H^-1) H^-T; the camera matrix cancels in
-// the product of the two right factors, W.
+// Adds the gradients of the parameters to v_mean[3], v_quat[4] and v_scale[2], given the gradients `v` of the projected
+// values. The derivative of an inverse is v_H = -H^-T v_(H^-1) H^-T. The camera matrix cancels in the product of the
+// two right factors, which is W.
 template <class T>
 MGSR_HD void pull_surfel_back(const Camera<T>& cam, const T quat[4], const T scale[2], const SurfelFrame<T>& f,
                               const SurfelPull<T>& v, T v_mean[3], T v_quat[4], T v_scale[2]) {
@@ -135,7 +135,7 @@ MGSR_HD void pull_surfel_back(const Camera<T>& cam, const T quat[4], const T sca
   to_camera_vjp(cam, v_p, v_mean);
 }
 
-// As pull_surfel_back, from gradients of the projected values themselves.
+// Does the same as pull_surfel_back, given the gradients of the projected values themselves.
 template <class T>
 MGSR_HD void project_surfel_vjp(const Camera<T>& cam, const T quat[4], const T scale[2], const SurfelFrame<T>& f,
                                 const ProjectedSurfel<T>& v, T v_mean[3], T v_quat[4], T v_scale[2]) {
@@ -148,16 +148,16 @@ MGSR_HD void project_surfel_vjp(const Camera<T>& cam, const T quat[4], const T s
   pull_surfel_back(cam, quat, scale, f, pull, v_mean, v_quat, v_scale);
 }
 
-// The image of the disk u^2 + v^2 <= r2: an ellipse by its centre (relative to the projected centre) and covariance
-// C, (p - centre)^T C^-1 (p - centre) <= 1. From the dual conic M diag(r2, r2, -1) M^T, whose shift to the projected
-// centre makes every term of C a sum of squares: thin ellipses keep their digits.
-// Returns false when the disk reaches camera depths of `near` or less.
+// The image of the disk u^2 + v^2 <= r2 is the ellipse (p - centre)^T C^-1 (p - centre) <= 1, with its centre relative
+// to the projected centre. It follows from the dual conic M diag(r2, r2, -1) M^T. Shifted to the projected centre,
+// every term of C is a sum of squares, so thin ellipses keep their precision.
 template <class T>
 struct SurfelOutline {
   T x, y;
   T cxx, cxy, cyy;
 };
 
+// Writes the outline. Returns false if the disk reaches camera depths of `near` or less.
 template <class T>
 MGSR_HD bool surfel_outline(const Camera<T>& cam, const SurfelFrame<T>& f, const T scale[2], T r2, T near,
                             SurfelOutline<T>& o) {

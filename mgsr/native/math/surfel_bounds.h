@@ -1,4 +1,4 @@
-// Where on the image a surfel can count: an ellipse that its disk's outline fills, and the circle of its low-pass.
+// The part of the image in which a surfel can count: the ellipse of its disk, and the circle of its low-pass.
 #pragma once
 
 #include "math/blending.h"
@@ -9,11 +9,11 @@ namespace mgsr {
 
 struct SurfelBounds {
   EllipseForm<float> disk;
-  float x, y, radius;  // radius 0 where the disk is stronger than the low-pass everywhere
+  float x, y, radius;  // radius 0 if the disk is stronger than the low-pass everywhere
   bool clipped;        // the disk reaches behind the near plane
 };
 
-// What of a view the bounds depend on beside the camera: camera units, px^2, pixels.
+// The values of a view, apart from the camera, on which the bounds depend: camera units, px^2, pixels.
 struct SurfelImage {
   float near, low_pass, width, height;
 };
@@ -22,7 +22,7 @@ struct SurfelBox {
   float x0, x1, y0, y1;
 };
 
-MGSR_HD float smaller(float a, float b) { return b < a ? b : a; }  // a where one is a NaN
+MGSR_HD float smaller(float a, float b) { return b < a ? b : a; }  // a if one of them is NaN
 MGSR_HD float larger(float a, float b) { return a < b ? b : a; }
 
 MGSR_HD EllipseForm<float> ellipse_of_box(const SurfelBox& b) {
@@ -35,9 +35,9 @@ MGSR_HD void widen(SurfelBox& box, const Camera<float>& cam, const double p[3]) 
   box = {smaller(box.x0, x), larger(box.x1, x), smaller(box.y0, y), larger(box.y1, y)};
 }
 
-// The image of that part of the disk's bounding square (half side r in u and v) that lies beyond `near`. Of an axis much
-// longer than the distance, only how far it reaches is lost in float, but so is where the other one lies beside it: hence
-// float64, and no axis beyond where it meets its vanishing point.
+// Returns the image of the part of the disk's bounding square (half side r in u and v) that lies beyond `near`. If one
+// axis is much longer than the distance, float32 loses the other axis beside it. So the corners are in float64, and an
+// axis ends where it has practically reached its vanishing point.
 MGSR_HD SurfelBox clipped_square(const Camera<float>& cam, const SurfelFrame<float>& f, const float scale[2], float r,
                                  float near) {
   SurfelBox box = {1e9f, -1e9f, 1e9f, -1e9f};
@@ -59,7 +59,7 @@ MGSR_HD SurfelBox clipped_square(const Camera<float>& cam, const SurfelFrame<flo
   return box;
 }
 
-// The radius of the low-pass circle; 0 when within it the disk's weight is nowhere less than the low-pass's.
+// Returns the radius of the low-pass circle, or 0 if everywhere in it the disk's weight is at least the low-pass's.
 MGSR_HD float low_pass_radius(const ProjectedSurfel<float>& s, bool edge_on, float log_strength, float low_pass) {
   const float radius = MGSR_SQRT(2.0f * low_pass * log_strength);
   const float trace = s.L[0] * s.L[0] + s.L[1] * s.L[1] + s.L[2] * s.L[2] + s.L[3] * s.L[3];
@@ -75,15 +75,15 @@ MGSR_HD SurfelBounds surfel_bounds(const Camera<float>& cam, const SurfelImage& 
   SurfelBounds b = {{}, s.x, s.y, low_pass_radius(s, f.edge_on, log_strength, image.low_pass), false};
   SurfelOutline<float> o;
   if (surfel_outline(cam, f, scale, r2, image.near, o)) {
-    // A disk without any width, of a vanishing scale, has no shape to divide by.
+    // The limit avoids a division by zero for a disk whose width vanishes.
     const float least = 1e-20f;
     b.disk = make_ellipse(s.x + o.x, s.y + o.y, at_least(o.cxx, least), o.cxy, at_least(o.cyy, least), 1.0f);
-    b.disk.w2 += 1e-6f * o.cxx;  // the rounding of a thin ellipse's determinant
+    b.disk.w2 += 1e-6f * o.cxx;  // covers the rounding error of a thin ellipse's determinant
   } else {
     b.clipped = true;
     const float w = image.width, h = image.height;
     const SurfelBox box = clipped_square(cam, f, scale, MGSR_SQRT(r2), image.near);
-    // In this order a NaN, from an overflow, gives the bound.
+    // With the arguments in this order, a NaN from an overflow gives the bound.
     b.disk = ellipse_of_box({larger(-w, box.x0), smaller(2 * w, box.x1), larger(-h, box.y0), smaller(2 * h, box.y1)});
   }
   return b;

@@ -5,7 +5,7 @@
 
 namespace mgsr {
 
-// How much a pair counts, by the mean over channels of the guide's absolute difference.
+// Returns the weight of a pair, given the mean over channels of the guide's absolute difference.
 template <class T>
 MGSR_HD T tv_weight(T guide_difference) {
 #if defined(__CUDACC__) || defined(__CUDACC_RTC__)
@@ -20,7 +20,7 @@ MGSR_HD T tv_pair(T difference, T weight) {
   return weight * difference * difference;
 }
 
-// Derivative of tv_pair by the difference.
+// Returns the derivative of tv_pair with respect to the difference.
 template <class T>
 MGSR_HD T tv_pair_vjp(T difference, T weight) {
   return 2.0f * weight * difference;

@@ -1,8 +1,8 @@
-// A number as the sum of two floats, with some 45 binary digits: for cards on which float64 is slow.
+// A number as the sum of two floats, with some 45 binary digits, for GPUs on which float64 is slow.
 //
-// After Dekker, Knuth, and Joldes, Muller and Popescu (2017). Products, quotients and roots are off by less than 2^-44 of
-// the result, sums by less than 2^-46 of the larger summand. The exponents are float's: from about 1e-25 to 1e38 these
-// bounds hold, and beyond that comes what a float would give, or a NaN.
+// Source: Dekker; Knuth; Joldes, Muller and Popescu (2017). The error of products, quotients and roots is less than
+// 2^-44 of the result, and that of sums less than 2^-46 of the larger summand. The exponents are those of float: the
+// bounds hold from about 1e-25 to 1e38. Outside, results are those of float, or NaN.
 #pragma once
 
 #include "math/macros.h"
@@ -10,7 +10,7 @@
 namespace mgsr {
 
 struct TwoFloats {
-  float high, low;  // |low| is at most half of high's last place
+  float high, low;  // |low| is at most half a unit in the last place of high
 
   MGSR_MEMBER TwoFloats() : high(0), low(0) {}
   MGSR_MEMBER TwoFloats(float x) : high(x), low(0) {}
@@ -23,7 +23,7 @@ struct TwoFloats {
   MGSR_MEMBER TwoFloats operator-() const { return {-high, -low}; }
   MGSR_MEMBER TwoFloats& operator+=(TwoFloats b) { return *this = *this + b; }
 
-  // The exact sum, where |a| is not less than |b|.
+  // Returns the exact sum if |a| is not less than |b|.
   MGSR_MEMBER static TwoFloats ordered_sum(float a, float b) {
     const float sum = a + b;
     return {sum, b - (sum - a)};

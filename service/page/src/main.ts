@@ -1,4 +1,4 @@
-// Starts the page: asks the service what it offers, then shows what the address names.
+// Starts the page: requests the service's options, then shows the view that the address names.
 
 import { Problem, Unreachable } from "./api/problem";
 import { Service } from "./api/service";
@@ -20,14 +20,14 @@ class Page {
   private options: Options | null = null;
   private view: View | null = null;
 
-  /** Start, and go on for as long as the page is open. */
+  /** Run for as long as the page is open. */
   async run(): Promise<void> {
     addEventListener("hashchange", () => this.show(true));
     this.service.addEventListener("key", () => this.askForKey(this.service.key !== null));
     this.service.connection.addEventListener("change", () => this.tellConnection());
     byId("key-button").addEventListener("click", () => this.askForKey(false));
     document.querySelector(".skip")!.addEventListener("click", (event) => {
-      event.preventDefault(); // the address says what is shown
+      event.preventDefault(); // the address selects the view
       this.main.focus();
     });
     // A file that misses the drop zone would replace the page.
@@ -35,7 +35,7 @@ class Page {
     await this.enter();
   }
 
-  /** Learn what the service offers; waits for one that does not answer, or asks for its key. */
+  /** Request the service's options. Waits if the service does not answer, and asks for its key. */
   private async enter(): Promise<void> {
     for (;;) {
       try {
@@ -53,7 +53,7 @@ class Page {
     askForKey(this.service, wrong, () => void this.enter());
   }
 
-  /** Tell why the service does not let the page in. */
+  /** Show why the service refuses the page. */
   private explain(error: unknown): void {
     const keyless = error instanceof Problem && error.status === 401 && this.service.key === null;
     const text = h("p", { class: "lead" }, "This service needs an API key.");
@@ -70,7 +70,7 @@ class Page {
     this.main.replaceChildren(this.view.element);
     if (!moved) return;
     scrollTo(0, 0);
-    this.main.focus({ preventScroll: true }); // screen readers begin at the top of what is new
+    this.main.focus({ preventScroll: true }); // screen readers begin at the top of the new view
   }
 
   private tellConnection(): void {

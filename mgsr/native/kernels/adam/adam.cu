@@ -1,5 +1,6 @@
-// Fused Adam, and the verdict on the gradients before it. A block updates kAdamFloats neighbouring numbers of one group, a thread every kAdamThreads-th of them; all
-// groups go in one launch. A number is read and written by one thread alone.
+// Fused Adam, and the check for finite gradients before it. All groups share one launch. A block updates kAdamFloats
+// neighbouring numbers of one group, and a thread every kAdamThreads-th of them. Only one thread reads and writes a
+// number.
 #include "kernels/adam/group.h"
 #include "kernels/common/sums_cuda.h"
 
@@ -9,14 +10,14 @@ constexpr int kAdamGroups = 16, kAdamThreads = 256, kAdamFloats = 1024, kJudgedA
 
 struct AdamParams {
   int groups;
-  int ends[kAdamGroups];  // of each group's blocks: the first block behind it
-  const bool* bad;        // whether gradients count as zero; or null for no
+  int ends[kAdamGroups];  // for each group, the first block after its own
+  const bool* bad;        // whether gradients count as zero; null means they do not
   AdamGroup group[kAdamGroups];
 };
 
-// Arrays of which a block sums the squares of kAdamFloats neighbouring numbers.
+// Arrays whose squares are summed; a block takes kAdamFloats neighbouring numbers.
 struct JudgedArray {
-  int end;  // the first block behind the array's
+  int end;  // the first block after those of the array
   int64_t count;
   const float* values;
 };
@@ -27,7 +28,7 @@ struct SquaresParams {
   PartialSums* sums;  // [blocks]
 };
 
-// bad: whether the sum of the squares is not finite, as a float.
+// bad: gets whether the sum of all squares, as a float, is not finite.
 struct VerdictParams {
   const PartialSums* sums;
   int blocks;

@@ -1,5 +1,5 @@
-// Fused Adam. All groups are cut into chunks of rows, and one run of the pool takes them all; a number is read and
-// written by one chunk alone, so the result can't depend on the thread count.
+// Fused Adam. All groups are cut into chunks of rows, which one run of the thread pool works off. Only one chunk reads
+// and writes a number, so the result does not depend on the number of threads.
 #include "kernels/adam/adam.h"
 
 #include <algorithm>
@@ -22,7 +22,7 @@ struct Chunk {
 
 inline vfloat square_root(vfloat x) {
 #if defined(MGSR_ISA_avx512)
-  return (vfloat)_mm512_maskz_sqrt_ps(__mmask16(-1), (__m512)x);  // unmasked, GCC 12 warns of its own header
+  return (vfloat)_mm512_maskz_sqrt_ps(__mmask16(-1), (__m512)x);  // masked, as GCC 12 warns about the unmasked form
 #elif defined(MGSR_ISA_avx2)
   return (vfloat)_mm256_sqrt_ps((__m256)x);
 #elif defined(__SSE2__)

@@ -1,4 +1,4 @@
-// One packed parameter [rows, columns] with its own rate and step count.
+// A packed parameter [rows, columns] with a learning rate and step count of its own.
 #pragma once
 
 #include "kernels/common/integers.h"

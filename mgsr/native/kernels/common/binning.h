@@ -1,9 +1,9 @@
-// From splats to, for each 16x16 tile, the list of splats that touch it, nearest first.
-// Each entry also says which of the tile's 4x4 sub-tiles are touched, and owns a slot: the place where the backward pass
-// leaves that (splat, tile) pair's gradient. A splat's slots are consecutive.
+// Binning: for each 16x16 tile, the list of splats that touch it, nearest first.
+// Each entry also tells which of the tile's 4x4 sub-tiles the splat touches. Its slot is the place where the backward
+// pass stores the gradient of this (splat, tile) pair. The slots of a splat are consecutive.
 //
-// Splats are looked at in the order they come, in chunks over the threads: find_tiles() while they are projected. Once
-// their depth order is known, lay_out_lists() walks them in that order to fill the lists.
+// While splats are projected, in chunks over the threads, find_tiles() finds their tiles in the order of the splats.
+// Once the depth order is known, lay_out_lists() fills the lists in that order.
 #pragma once
 
 #include <algorithm>
@@ -28,7 +28,7 @@ struct TileEntry {
   uint32_t mask;  // of sub-tiles: bit kSubTilesAcross * row + column
 };
 
-// Keeps its memory between frames.
+// The lists of all tiles. They keep their memory between frames.
 struct TileLists {
   int width = 0, height = 0;  // of the image, pixels
   int tiles_x = 0, tiles_y = 0;
@@ -36,22 +36,22 @@ struct TileLists {
   std::vector<TileEntry> entries;  // grouped by tile, in depth order
   int64_t pairs() const { return int64_t(entries.size()); }
 
-  // A tile that a splat was found to touch.
+  // A tile that a splat touches.
   struct Found {
     uint32_t tile, mask;
   };
-  // What was found of one splat: positions in its chunk's list.
+  // The tiles of a splat, as positions in its chunk's list.
   struct Span {
     uint32_t begin = 0, end = 0;
   };
   struct Chunk {
     std::vector<Found> items;
-    uint32_t count = 0;  // of the items in use
+    uint32_t count = 0;  // number of items in use
   };
   std::vector<Chunk> found;               // by chunk of splats
   std::vector<Span> spans;                // [splats]
   std::vector<uint32_t> chunk_slots;      // the first slot of each chunk of splats
-  std::vector<uint32_t> tile_counts;      // [chunks of the depth order, tiles]; then places in `entries`
+  std::vector<uint32_t> tile_counts;      // [chunks of the depth order, tiles]; later places in `entries`
 };
 
 namespace MGSR_ISA {
@@ -65,19 +65,19 @@ inline void start_lists(TileLists& lists, int64_t splats, int width, int height)
   lists.spans.resize(splats);
 }
 
-// Columns of sub-tiles that each of kWidth bands of kSubTile rows meets: [first, end).
+// The columns of sub-tiles, [first, end), that an outline touches in each of kWidth bands of kSubTile rows.
 struct BandColumns {
   vint first, end;
 };
 
-// The bands from row y on, without rows above `top` or under `bottom`.
+// Cuts an outline into the bands from row y on, without rows above `top` or below `bottom`.
 template <class Outline>
 inline BandColumns cut_bands(const Outline& outline, int y, float top, float bottom, int width) {
   vfloat start;
   for (int lane = 0; lane < kWidth; ++lane) start[lane] = float(y + kSubTile * lane);
   const vfloat y0 = max(start, splat(top)), y1 = min(start + float(kSubTile - 1), splat(bottom));
   const Intervals cut = outline.cut(y0 + 0.5f, y1 + 0.5f);
-  // Pixel i counts when x0 <= i + 0.5 <= x1. Held to the image first, where truncation rounds down.
+  // Pixel i counts if x0 <= i + 0.5 <= x1. The limits are clamped to the image first, so that truncation rounds down.
   const vfloat right = splat(float(width));
   const vint first = __builtin_convertvector(min(max(cut.x0 + 0.5f, vfloat{}), right), vint);
   const vint end = __builtin_convertvector(min(max(cut.x1 + 0.5f, vfloat{}), right), vint);
@@ -85,7 +85,7 @@ inline BandColumns cut_bands(const Outline& outline, int y, float top, float bot
   return {first / kSubTile, any & (end + (kSubTile - 1)) / kSubTile};
 }
 
-// For each band, the bits of its sub-tiles in the tile whose first column of sub-tiles is `column`, in their places.
+// Returns, for each band, the bits of its sub-tiles in the tile whose first column of sub-tiles is `column`.
 inline vint sub_tile_bits(const BandColumns& bands, int column) {
   const auto held = [](vint x) {
     x = x > 0 ? x : vint{};
@@ -97,7 +97,7 @@ inline vint sub_tile_bits(const BandColumns& bands, int column) {
   return (((one << end) - (one << first)) & (first < end)) << place;
 }
 
-// Writes the tiles in columns [x0, x1] of the rows of tiles from `row` on that the bands meet; returns the end.
+// Writes the tiles that the bands touch, in the columns [x0, x1] and the rows of tiles from `row` on. Returns the end.
 inline TileLists::Found* write_tiles(const BandColumns& bands, const TileLists& lists, int row, int x0, int x1,
                                      TileLists::Found* out) {
   for (int x = x0; x <= x1; ++x) {
@@ -114,11 +114,12 @@ inline TileLists::Found* write_tiles(const BandColumns& bands, const TileLists& 
   return out;
 }
 
-// Notes the tiles that an outline touches as those of a splat; a chunk's splats come in order. The Outline has
-// box(), a PixelBox, and cut(y0, y1), Intervals.
+// Records the tiles that a splat's outline touches. The splats of a chunk must come in order. An Outline has two
+// methods:
+// box() returns a PixelBox, and cut(y0, y1) returns Intervals.
 template <class Outline>
 inline void find_tiles(TileLists& lists, int64_t splat, const Outline& outline) {
-  constexpr int kRows = kWidth / kSubTilesAcross;  // rows of tiles to a vector of bands
+  constexpr int kRows = kWidth / kSubTilesAcross;  // rows of tiles per vector of bands
   TileLists::Chunk& chunk = lists.found[splat / kSplatChunk];
   const PixelBox box = outline.box();
   const float top = std::max(std::ceil(box.y0 - 0.5f), 0.0f), bottom = std::min(std::floor(box.y1 - 0.5f), lists.height - 1.0f);
@@ -144,7 +145,7 @@ inline void number_slots(TileLists& lists) {
   lists.entries.resize(slot);
 }
 
-// Turns counts into places: tile by tile, and within a tile chunk by chunk, which is depth order.
+// Converts counts to places in the lists: tile by tile, and within a tile chunk by chunk, which is depth order.
 inline void place_tiles(TileLists& lists, int chunks) {
   const int tiles = lists.tiles_x * lists.tiles_y;
   lists.begin.resize(tiles + 1);
@@ -161,9 +162,9 @@ inline void place_tiles(TileLists& lists, int chunks) {
   lists.begin[tiles] = total;
 }
 
-// order: the splats that were looked at, nearest first.
+// Fills the lists. order: the splats, nearest first.
 inline void lay_out_lists(TileLists& lists, const std::vector<uint32_t>& order) {
-  // Few chunks, since each has a count for every tile; their number does not depend on the threads.
+  // There are few chunks, since each has a count for every tile. Their number does not depend on the number of threads.
   constexpr int64_t kLeast = 1024, kMost = 16;
   const int64_t count = int64_t(order.size()), size = std::max(kLeast, (count + kMost - 1) / kMost);
   const int chunks = int((count + size - 1) / size), tiles = lists.tiles_x * lists.tiles_y;

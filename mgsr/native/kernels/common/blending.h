@@ -1,4 +1,4 @@
-// Front-to-back blending (math/blending.h) of vectors of pixels, the same in every rasterizer.
+// Front-to-back blending (math/blending.h) of vectors of pixels, which all rasterizers share.
 #pragma once
 
 #include "kernels/common/simd.h"
@@ -8,10 +8,9 @@ namespace mgsr {
 
 namespace MGSR_ISA {
 
-// Transmittance at a vector of pixels so far, with a minus where a pixel has stopped. It starts at 1.
-// (A plain vector and no class, so that compilers keep it in a register.)
-
-// Passes a splat of this alpha. Returns what it blends with: 0 in pixels that have stopped or that stop here.
+// Composites a splat of this alpha, and updates the transmittance, which starts at 1 and is negative once a pixel is
+// finished. Returns the alpha with which the splat blends, 0 in finished pixels. The transmittance is a plain vector,
+// not a class, so that compilers keep it in a register.
 inline vfloat transmit(vfloat alpha, vfloat& transmittance) {
   const vfloat after = fma(-alpha, transmittance, transmittance);
   const vint passes = after >= kMinTransmittance;
@@ -19,13 +18,14 @@ inline vfloat transmit(vfloat alpha, vfloat& transmittance) {
   return keep(passes, alpha);
 }
 
-// Passes the first n of Count splats through Chains vectors of pixels, which do not wait for one another. alpha: becomes
-// what they blend with, 0 from n on; T: gets the transmittance before each splat, to be used only times an alpha.
+// Composites the first n of Count splats in Chains independent vectors of pixels. alpha: becomes the alphas with which
+// they blend, 0 from n on. T: gets the transmittance before each splat; it is valid only where the alpha is not 0.
 template <int Count, int Chains>
 inline void transmit_batch(int n, vfloat transmittances[Chains], vfloat alpha[Count][Chains], vfloat T[Count][Chains]) {
   for (int e = n; e < Count; ++e)
     for (int c = 0; c < Chains; ++c) alpha[e][c] = vfloat{};
-  // Unrolled by order: a compiler that sees the copies as loops makes them a memcpy and leaves the transmittance in memory.
+  // The loops are unrolled explicitly, since compilers turn copy loops into memcpy and leave the transmittance in
+  // memory.
   vfloat transmittance[Chains];
 #pragma GCC unroll 16
   for (int c = 0; c < Chains; ++c) transmittance[c] = transmittances[c];

@@ -1,10 +1,10 @@
 // The backward pass over buckets of 32 splats, one warp each.
 //
-// A warp takes the tile's patches one after the other, a pixel to a lane, and walks those of its splats that touch the
-// patch, nearest first. What the pixels say of a splat goes to the warp's own shared memory, and when there are eight
-// splats, the lanes change sides: a splat and a row of eight pixels to a lane, which adds them up in registers. Four lanes
-// have a splat's rows then, which are added and go to the splat's sums. All orders are fixed, and no atomics are needed: a
-// pair's sums go to its own slot.
+// A warp takes the tile's patches one after the other, one pixel per lane, and walks its splats that touch the patch,
+// nearest first. The pixels write their contributions to a splat's gradient to the warp's own shared memory. After
+// eight splats, the lanes switch roles: each lane takes one splat and one row of eight pixels, and adds them in
+// registers. The four rows of a splat are then added to the splat's sums. All orders are fixed. No atomics are needed,
+// since the sums of a pair go to its own slot.
 #pragma once
 
 #include "kernels/common/tiles_cuda.h"
@@ -12,20 +12,20 @@
 namespace mgsr {
 
 constexpr int kBucketWarps = 2, kBucketThreads = kBucketWarps * kWarp;
-constexpr int kChunk = 8;  // splats whose pixels are added up at once
+constexpr int kChunk = 8;  // splats whose pixels are added at once
 static_assert(kChunk * kPatchHeight == kWarp, "a lane to each row of each splat");
-constexpr int kTermsStride = kWarp + 1;  // of a splat's pixels: spreads what lanes read over the banks
+constexpr int kTermsStride = kWarp + 1;  // one more than the pixels of a splat, to avoid bank conflicts
 
 // The bucket of a warp.
 struct Bucket {
-  int tile = 0, index = 0;  // index among the tile's
+  int tile = 0, index = 0;  // index: among the buckets of the tile
   int first = 0, count = 0; // its entries
   bool exists = false;
 
   __device__ Bucket(const Tiles& tiles, int number) {
     exists = number < tiles.bucket_ends[tiles.count - 1];
     if (!exists) return;
-    int low = 0, high = tiles.count - 1;  // the tile is the first one whose buckets end behind this one
+    int low = 0, high = tiles.count - 1;  // the tile is the first one whose buckets end after this one
     while (low < high) {
       const int middle = (low + high) / 2;
       if (tiles.bucket_ends[middle] > number) high = middle;
@@ -38,18 +38,19 @@ struct Bucket {
   }
 };
 
-// Where a lane stands when it adds up: which of a chunk's splats, and which row of the patch's pixels.
+// The role of a lane in the addition: its splat within the chunk, and its row of the patch's pixels.
 struct ChunkPlace {
   int splat, row;
   __device__ explicit ChunkPlace(int lane) : splat(lane % kChunk), row(lane / kChunk) {}
   __device__ int pixel(int column) const { return row * kPatchWidth + column; }
 };
 
-// Walks a bucket through the tile's patches. patches: those that the lane's splat touches, as bits.
-// walk.enter(patch) makes the lane a pixel of the patch; false, for all lanes, when none of them is open.
-// walk.meet(splat, place) lets the lane's pixel meet a splat of the bucket, and leaves what comes of it at that place.
-// walk.add(splat) adds up, for the lane's row, what the pixels left at the place of its ChunkPlace, where they met that
-// splat: -1, and nothing, if there was none.
+// Walks a bucket through the tile's patches. patches: the patches that the lane's splat touches, as bits.
+// walk.enter(patch) assigns the lane a pixel of the patch. It returns false, in all lanes, if all pixels are finished.
+// walk.meet(splat, place) computes the contribution of the lane's pixel to a splat of the bucket, and stores it at
+// `place`.
+// walk.add(splat) adds the stored contributions at the place of the lane's ChunkPlace, over the lane's row. splat: the
+// splat at that place, or -1 for none, which adds nothing.
 template <class Walk>
 __device__ inline void walk_patches(unsigned patches, Walk& walk) {
   const ChunkPlace mine(threadIdx.x % kWarp);
@@ -70,8 +71,9 @@ __device__ inline void walk_patches(unsigned patches, Walk& walk) {
   }
 }
 
-// Sums [count] numbers over the rows of each splat of a chunk; a lane keeps a quarter, from count / 4 times its row on, as
-// its first ones.
+// Sums [count] numbers over the rows of each splat of a chunk. Each lane keeps a quarter of the sums as its first
+// numbers:
+// those from count / 4 times its row on.
 template <int count>
 __device__ inline void sum_rows(float* numbers) {
   const int row = ChunkPlace(threadIdx.x % kWarp).row;
@@ -90,7 +92,7 @@ __device__ inline void sum_rows(float* numbers) {
 
 __device__ inline void add_scaled(float scale, float x, float& sum) { sum = fmaf(scale, x, sum); }
 
-// fields: [kPairFields]
+// Writes the fields [kPairFields] of a pair to its slot.
 __device__ inline void write_pair(float* pairs, int slot, const float* fields) {
   float4* to = reinterpret_cast<float4*>(pairs + int64_t(slot) * kPairFields);
   for (int k = 0; k < kPairFields / 4; ++k)

@@ -1,5 +1,6 @@
-// How a CUDA kernel is declared. Kernel files use plain CUDA C++ alone: blocks, shared memory, barriers and warp shuffles
-// with full masks, so that the tests' host shim can run them, and no atomics, so that results don't depend on timing.
+// The declaration of CUDA kernels. Kernel files use only plain CUDA C++: blocks, shared memory, barriers, and warp
+// shuffles with full masks. So the host shim of the tests can run them. They use no atomics, so results don't depend on
+// timing.
 #pragma once
 
 #include "kernels/common/integers.h"
@@ -9,8 +10,8 @@ namespace mgsr {
 constexpr int kWarp = 32;
 constexpr unsigned kFullWarp = 0xffffffffu;
 
-// What a block works on where several arrays share a launch, each with blocks of its own: which array, and which of the
-// array's blocks. end_of(i): the first block behind those of array i.
+// The work of a block in a launch that several arrays share: its array, and its index among the array's blocks.
+// end_of(i): the first block after those of array i.
 struct BlockInArrays {
   int array = 0, block;
 
@@ -23,7 +24,8 @@ struct BlockInArrays {
 
 }  // namespace mgsr
 
-// A kernel of at most `threads` threads a block that takes one struct by value, as p. The shim has its own.
+// Declares a kernel of at most `threads` threads per block that takes one struct by value, as p. The shim has its own
+// form.
 #ifndef MGSR_KERNEL
 #define MGSR_KERNEL(name, Params, threads) \
   extern "C" __global__ void __launch_bounds__(threads) name(const __grid_constant__ Params p)

@@ -1,4 +1,4 @@
-// The order of splats by depth: a radix sort of the depths' bits, which are in the order of the floats from 0 on.
+// Sorts splats by depth: a radix sort of the depths' bits, whose order is that of non-negative floats.
 #pragma once
 
 #include <cstdint>
@@ -7,7 +7,7 @@
 
 namespace mgsr {
 
-// Keeps its memory between sorts.
+// The buffers of a sort, which keep their memory between sorts.
 struct DepthSort {
   struct Item {
     uint32_t key, index;
@@ -21,7 +21,7 @@ namespace MGSR_ISA {
 constexpr int kDigitBits = 11, kDigits = 3;
 constexpr uint32_t kDigitValues = 1u << kDigitBits;
 
-// Moves items to `other` by one digit of their keys; counts: [kDigitValues] how often each value occurs, used up.
+// Sorts items by one digit of their keys into `other`. counts [kDigitValues]: the frequency of each value; overwritten.
 inline void sort_by_digit(DepthSort& sort, int shift, uint32_t* counts) {
   uint32_t sum = 0;
   for (uint32_t d = 0; d < kDigitValues; ++d) {
@@ -33,7 +33,7 @@ inline void sort_by_digit(DepthSort& sort, int shift, uint32_t* counts) {
   sort.items.swap(sort.other);
 }
 
-// Leaves in sort.order the indices of `depths` that are 0 or more, from smallest to largest, ties by index.
+// Writes to sort.order the indices of all depths that are not negative, from smallest to largest, ties by index.
 inline void sort_by_depth(DepthSort& sort, const std::vector<float>& depths) {
   uint32_t counts[kDigits][kDigitValues] = {};
   sort.items.resize(depths.size());

@@ -1,4 +1,4 @@
-// Outlines of splats on the image, and cutting them into bands of rows.
+// The outlines of splats on the image, cut into bands of rows.
 #pragma once
 
 #include <cmath>
@@ -9,18 +9,18 @@
 namespace mgsr {
 namespace MGSR_ISA {
 
-// A range of pixels on the image, continuous coordinates; empty when x1 < x0 or y1 < y0.
+// A box on the image in continuous coordinates; empty if x1 < x0 or y1 < y0.
 struct PixelBox {
   float x0, x1, y0, y1;
 };
 
-// For each lane's band of rows [y0, y1]: the smallest x interval that holds all of an outline's points in the band.
+// For each lane's band of rows [y0, y1]: the smallest x interval that contains all points of an outline in the band.
 struct Intervals {
   vfloat x0, x1;
-  vint any;  // 0 where there are none
+  vint any;  // 0 where the band has no points
 };
 
-// As ellipse_columns, for a vector of bands at once.
+// ellipse_columns for a vector of bands at once.
 struct Ellipse : EllipseForm<float> {
   PixelBox box() const { return {x - hx - kOutlineSlack, x + hx + kOutlineSlack, y - hy - kOutlineSlack, y + hy + kOutlineSlack}; }
 

@@ -1,4 +1,4 @@
-// Which of the compiled variants a kernel call uses. Each bindings file instantiates one choice for its family.
+// The choice of the compiled variant that kernel calls use. Each bindings file instantiates one choice for its family.
 #pragma once
 
 #include <stdexcept>
@@ -18,7 +18,7 @@ inline bool processor_has(const std::string& isa) {
   return isa == "baseline";
 }
 
-// The variants that were compiled and that this processor runs, fastest first.
+// Returns the compiled variants that this processor can run, fastest first.
 inline std::vector<std::string> usable_isas() {
   std::vector<std::string> names;
 #if defined(MGSR_HAVE_avx512)
@@ -31,7 +31,7 @@ inline std::vector<std::string> usable_isas() {
   return names;
 }
 
-// Table is a struct of function pointers; tables come fastest first, beside usable_isas' names.
+// Table is a struct of function pointers. The tables come fastest first, as the names of usable_isas do.
 template <class Table>
 class IsaChoice {
  public:

@@ -1,4 +1,4 @@
-// A vector that counts like a scalar, so that the maths headers work on several splats at once.
+// A vector with the operators of a scalar, so that the maths headers work on several splats at once.
 #pragma once
 
 #include <cstring>
@@ -50,7 +50,7 @@ struct Lanes {
 using Floats = Lanes<vfloat>;
 using Doubles = Lanes<vdouble>;
 
-// of(lane) in each lane.
+// Returns the vector whose lanes are of(lane).
 template <class L, class Of>
 inline L each_lane(const Of& of) {
   typename L::Scalar values[L::kCount];

@@ -1,4 +1,5 @@
-// Gradients of (splat, tile) pairs in the backward pass: left by the tiles, each in its own slot, and added up by splat.
+// Gradients of (splat, tile) pairs in the backward pass. Each tile writes them to their slots; then they are added by
+// splat.
 #pragma once
 
 #include <algorithm>
@@ -10,10 +11,10 @@
 namespace mgsr {
 namespace MGSR_ISA {
 
-constexpr int kPairFields = 16;  // floats of a pair: one cache line
+constexpr int kPairFields = 16;  // floats per pair: one cache line
 
-// Calls walk(sub-tile lists, x0, y0, pairs) for every tile, on all threads. pairs: [tile's entries, kPairFields], zero, to
-// be added to. gradients: gets them, by slot.
+// Calls walk(sub-tile lists, x0, y0, pairs) for every tile, on all threads. The walk adds to pairs
+// [tile's entries, kPairFields], which start at zero. gradients: receives them by slot.
 template <class Record, class Walk>
 void walk_tiles(const TileLists& lists, const Record* records, std::vector<float>& gradients, const Walk& walk) {
   gradients.resize(size_t(lists.pairs()) * kPairFields);
@@ -28,7 +29,7 @@ void walk_tiles(const TileLists& lists, const Record* records, std::vector<float
   });
 }
 
-// The sums over a splat's pairs, in the order of their slots, which doesn't depend on the number of threads.
+// Sums the pairs of a splat in the order of their slots, which does not depend on the number of threads.
 inline void sum_pairs(const TileLists& lists, const std::vector<float>& gradients, int64_t splat, float sums[kPairFields]) {
   const TileLists::Span span = lists.spans[splat];
   const float* pairs = gradients.data() + size_t(lists.chunk_slots[splat / kSplatChunk]) * kPairFields;

@@ -1,5 +1,5 @@
-// A small thread pool. Work is cut into chunks whose number never depends on the thread count, so that sums made
-// chunk by chunk come out the same bytes however many threads run.
+// A small thread pool. Work is cut into chunks whose number never depends on the number of threads. So sums that are
+// made chunk by chunk have the same bytes for any number of threads.
 #pragma once
 
 #include <atomic>
@@ -18,7 +18,7 @@ namespace mgsr {
 
 class ThreadPool {
  public:
-  // The pool of this extension module. Its workers are started by the first call that has work for them.
+  // The pool of this extension module. The first call that has work for its workers starts them.
   static ThreadPool& instance() {
     static ThreadPool pool;
     return pool;
@@ -52,7 +52,7 @@ class ThreadPool {
     }
     wake_.notify_all();
     drain();
-    // Only workers that joined are waited for: one that the system has not woken yet has nothing left to do.
+    // Waits only for workers that joined: one that the system has not woken yet has nothing left to do.
     joined_.fetch_and(~kOpen, std::memory_order_acq_rel);
     for (int spin = 0; joined_.load(std::memory_order_acquire) != 0; ++spin) spin < 2000 ? pause() : std::this_thread::yield();
   }
@@ -99,7 +99,7 @@ class ThreadPool {
     workers_.clear();
   }
 
-  // A kernel calls run several times within microseconds, so a worker looks for work for a moment before it sleeps.
+  // A kernel calls run several times within microseconds, so a worker polls for work for a moment before it sleeps.
   void work(uint64_t seen) {
     for (;;) {
       for (int spin = 0; spin < 2000 && generation_.load(std::memory_order_acquire) == seen; ++spin) pause();
@@ -115,7 +115,7 @@ class ThreadPool {
     }
   }
 
-  // Whether there is a run that still takes workers; if so, this one is counted in.
+  // Joins the current run. Returns false if there is none that still takes workers.
   bool join() {
     uint32_t joined = joined_.load(std::memory_order_acquire);
     while (joined & kOpen)
@@ -137,7 +137,7 @@ class ThreadPool {
   std::function<void(int)> body_;
 };
 
-// body(begin, end) over [0, n) in chunks of fixed size.
+// Calls body(begin, end) over [0, n) in chunks of fixed size.
 template <class Body>
 void parallel_chunks(int64_t n, int64_t chunk, const Body& body) {
   const int count = int((n + chunk - 1) / chunk);

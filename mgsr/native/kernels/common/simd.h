@@ -1,5 +1,5 @@
-// One vector type for every variant, written with the compiler's vector extensions: 4, 8 or 16 floats.
-// A file that includes this is compiled once for each variant, with MGSR_ISA as the namespace of its code.
+// A vector type of 4, 8 or 16 floats, depending on the variant, written with the compiler's vector extensions.
+// Files that include this header are compiled once for each variant, with MGSR_ISA as the namespace of their code.
 #pragma once
 
 #include <cstdint>
@@ -36,7 +36,8 @@ inline vfloat load(const float* p) {
 inline void store(float* p, vfloat v) { std::memcpy(p, &v, sizeof(v)); }
 
 inline vfloat select(vint mask, vfloat a, vfloat b) { return mask ? a : b; }
-// The processor's own minimum and maximum, which compilers don't see in a < b ? a : b. A NaN in a gives b.
+// The processor's minimum and maximum instructions, since compilers don't recognise them in a < b ? a : b. A NaN in a
+// gives b.
 inline vfloat min(vfloat a, vfloat b) {
 #if defined(MGSR_ISA_avx512)
   return (vfloat)_mm512_min_ps((__m512)a, (__m512)b);
@@ -85,8 +86,8 @@ inline vdouble sqrt(vdouble x) {
 #endif
 }
 
-// a * b + c, rounded once where the variant has it. Written out where forward and backward must agree to the bit: the
-// compiler may contract a plain product and sum in one place and not in another.
+// Returns a * b + c, rounded once if the variant has such an instruction. It is explicit where forward and backward
+// must agree to the bit, since compilers may contract a plain product and sum in one place but not in another.
 inline vfloat fma(vfloat a, vfloat b, vfloat c) {
 #if defined(MGSR_ISA_avx512)
   return (vfloat)_mm512_fmadd_ps((__m512)a, (__m512)b, (__m512)c);
@@ -97,7 +98,7 @@ inline vfloat fma(vfloat a, vfloat b, vfloat c) {
 #endif
 }
 
-// a where mask, else 0.
+// Returns a where the mask is set, else 0.
 inline vfloat keep(vint mask, vfloat a) { return (vfloat)((vint)a & mask); }
 
 inline bool any(vint mask) {
@@ -114,7 +115,8 @@ inline bool any(vint mask) {
 #endif
 }
 
-// Writes first + lane for every lane whose mask is set, in order; returns their number. Writes on to out[kWidth - 1].
+// Writes first + lane for every lane whose mask is set, in order, and returns their number. It may write up to
+// out[kWidth - 1].
 inline int pack_lanes(vint mask, uint32_t first, uint32_t* out) {
 #if defined(MGSR_ISA_avx512)
   const __m512i lanes = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
@@ -145,7 +147,7 @@ inline float sum(vfloat v) {
   return s[0];
 }
 
-// sums[k] += the sum of v[k]'s lanes, for Count vectors. `sums` must have room for Count rounded up to 4; what lies in
+// Adds the sum of the lanes of v[k] to sums[k], for Count vectors. `sums` must have room for Count rounded up to 4, and
 // the padding is unspecified. Lanes are added in a fixed tree.
 template <int Count>
 inline void add_sums(const vfloat* v, float* sums) {
@@ -169,7 +171,7 @@ inline void add_sums(const vfloat* v, float* sums) {
 #endif
 }
 
-// 1 / x, good to the last two bits.
+// Returns 1 / x, exact but for the last two bits.
 inline vfloat reciprocal(vfloat x) {
 #if defined(MGSR_ISA_avx512)
   const vfloat r = (vfloat)_mm512_rcp14_ps((__m512)x);
@@ -182,8 +184,8 @@ inline vfloat reciprocal(vfloat x) {
 #endif
 }
 
-// 2^x for Count vectors with -126 <= x < 127, with a relative error of 1e-7; anything outside (polynomial of degree 5,
-// fitted on +-0.5). Several at once go step by step: one alone waits for each of its steps.
+// Replaces Count vectors x by 2^x with a relative error of 1e-7, by a polynomial of degree 5, fitted on +-0.5. Requires
+// -126 <= x < 127. Several vectors are interleaved step by step, because a single one would wait for each of its steps.
 template <int Count>
 inline void exp2_in_range(vfloat x[Count]) {
   const vfloat shifter = splat(12582912.0f);  // 1.5 * 2^23: adding it rounds to the nearest integer
@@ -193,7 +195,7 @@ inline void exp2_in_range(vfloat x[Count]) {
   for (int i = 0; i < Count; ++i) x[i] = x[i] - (shifted[i] - shifter), p[i] = splat(1.3276479e-3f);
   for (float term : kTerms)
     for (int i = 0; i < Count; ++i) p[i] = fma(p[i], x[i], splat(term));
-  // The rounded integer sits in the low bits of `shifted`; moved into the exponent field it scales by 2^n.
+  // The low bits of `shifted` hold the rounded integer n; moved into the exponent field, they scale by 2^n.
   for (int i = 0; i < Count; ++i) x[i] = (vfloat)((vint)p[i] + ((vint)shifted[i] << 23));
 }
 
@@ -202,7 +204,7 @@ inline vfloat exp2_in_range(vfloat x) {
   return x;
 }
 
-// 2^x for x <= 0; values under -126 give 0.
+// Returns 2^x for x <= 0, and 0 for x under -126.
 inline vfloat exp2_nonpositive(vfloat x) { return keep(x > splat(-126.0f), exp2_in_range(max(x, splat(-126.0f)))); }
 
 inline bool all_finite(const float* values, int n) {
@@ -219,7 +221,7 @@ inline void swap_quarters(vfloat& upper, vfloat& lower, std::integer_sequence<in
   lower = __builtin_shufflevector(a, b, (Lane & Half ? Lane + kWidth : Lane + Half)...);
 }
 
-// Turns kWidth rows of a square matrix into its columns.
+// Transposes a square matrix of kWidth rows.
 template <int Half = kWidth / 2>
 inline void transpose(vfloat rows[kWidth]) {
   if constexpr (Half > 0) {

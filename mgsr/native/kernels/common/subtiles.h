@@ -1,4 +1,4 @@
-// What the blending loops walk over: tiles over the threads, and in a tile its 4x4 sub-tiles, each with its own list.
+// The structure of the blending loops: tiles over the threads, and in a tile its 4x4 sub-tiles, each with its own list.
 #pragma once
 
 #include <algorithm>
@@ -16,7 +16,7 @@ namespace MGSR_ISA {
 // For each of a tile's sub-tiles, the entries of the tile that touch it, in depth order.
 class SubTileLists {
  public:
-  // Also asks for the records of the splats to be brought near, all at once: they lie scattered.
+  // Also prefetches the records of all splats of the tile at once, because they lie scattered in memory.
   template <class Record>
   void fill(const TileEntry* entries, int n, const Record* records) {
     splats_.resize(n), masks_.resize(n + kWidth);
@@ -30,7 +30,7 @@ class SubTileLists {
 
   const uint32_t* begin(int s) const { return entries_[s].data(); }
   int count(int s) const { return counts_[s]; }
-  // The splat of an entry.
+  // Returns the splat of an entry.
   uint32_t splat(uint32_t entry) const { return splats_[entry]; }
 
  private:
@@ -52,13 +52,13 @@ class SubTileLists {
   int counts_[kSubTiles] = {};
 };
 
-// Asks for the records of the entries list[begin..end) to be brought near.
+// Prefetches the records of the entries list[begin..end).
 template <class Record>
 inline void prefetch_records(const Record* records, const SubTileLists& sub, const uint32_t* list, int begin, int end) {
   for (int e = begin; e < end; ++e) __builtin_prefetch(records + sub.splat(list[e]));
 }
 
-// Calls work(tile, sub-tile lists, x0, y0 of the tile) for every tile, on all threads.
+// Calls work(tile, sub-tile lists, x0, y0) for every tile at (x0, y0), on all threads.
 template <class Record, class Work>
 void for_tiles(const TileLists& lists, const Record* records, const Work& work) {
   ThreadPool::instance().run(lists.tiles_x * lists.tiles_y, [&](int tile) {
@@ -68,7 +68,7 @@ void for_tiles(const TileLists& lists, const Record* records, const Work& work) 
   });
 }
 
-// Calls body(s, x, y) for the sub-tiles s, at pixel (x, y), of the tile at (x0, y0) that lie on the image.
+// Calls body(s, x, y) for each sub-tile s at pixel (x, y) that lies on the image, of the tile at (x0, y0).
 template <class Body>
 void for_subtiles(int x0, int y0, int width, int height, const Body& body) {
   for (int s = 0; s < kSubTiles; ++s) {
@@ -84,10 +84,10 @@ inline void for_pixels(int x0, int y0, int width, int height, const F& f) {
     for (int i = 0; i < kSubTile && x0 + i < width; ++i) f(int64_t(y0 + j) * width + x0 + i, j * kSubTile + i);
 }
 
-constexpr int kVectors = kSubTile * kSubTile / kWidth;  // vectors to a sub-tile
+constexpr int kVectors = kSubTile * kSubTile / kWidth;  // vectors per sub-tile
 
-// The 16 pixels of a sub-tile as vectors: their centres' offsets from the corner (x0, y0). Every vector holds whole rows,
-// so that x is the same in all.
+// The 16 pixels of a sub-tile, as vectors of their centres' offsets from the corner (x0, y0). Every vector holds whole
+// rows, so x is the same in all of them.
 struct Pixels {
   int x0, y0;
   vfloat x, y[kVectors];

@@ -1,16 +1,17 @@
-// Sums on the GPU: each block leaves its own, and the terms family adds those up in a fixed order.
+// Sums on the GPU. Each block writes its own sums, and the terms family adds them in a fixed order.
 #pragma once
 
 #include "kernels/common/cuda.h"
 
 namespace mgsr {
 
-// What a block adds to a total and to the weight that it is divided by.
+// The contribution of a block to a total, and to the weight by which the total is divided.
 struct PartialSums {
   double total, weight;
 };
 
-// Writes the block's sums of the threads' values to *out. For blocks of whole warps, at most 1024 threads.
+// Sums the threads' values over the block, and writes the sums to *out. Blocks must be of whole warps, at most 1024
+// threads.
 __device__ inline void write_block_sums(double total, double weight, PartialSums* out) {
   __shared__ PartialSums of_warps[kWarp];
   for (int by = kWarp / 2; by > 0; by /= 2) {

@@ -1,7 +1,7 @@
-// Tiles of 16x16 pixels on the GPU: which of them a splat touches, and the pieces that their lists are worked in.
+// Tiles of 16x16 pixels on the GPU: the tiles that a splat touches, and the buckets of their lists.
 //
-// A tile's list is worked in buckets of 32 splats, one warp's worth. The forward pass leaves each pixel's state at the
-// begin of every bucket, so that the backward pass can take each bucket on its own, a splat to a lane.
+// A tile's list is processed in buckets of 32 splats, as many as a warp has lanes. The forward pass stores each pixel's
+// state at the beginning of every bucket. So the backward pass can process each bucket on its own, one splat per lane.
 #pragma once
 
 #include "kernels/common/cuda.h"
@@ -11,36 +11,37 @@ namespace mgsr {
 
 constexpr int kTile = 16, kTilePixels = kTile * kTile;
 constexpr int kBucket = kWarp;
-constexpr float kCulledDepth = 3e38f;  // sorts behind every splat that is seen
-constexpr int kPairFields = 16;  // floats of a (splat, tile) pair's gradient
+constexpr float kCulledDepth = 3e38f;  // sorts after every visible splat
+constexpr int kPairFields = 16;  // floats per gradient of a (splat, tile) pair
 
-// Where a splat can count: inside its ellipse, or inside a circle when it has a radius.
+// The region in which a splat can count: inside its ellipse, and inside the circle if its radius is not 0.
 struct alignas(16) SplatOutline {
   EllipseForm<float> ellipse;
   float x, y, radius;
-  float unused;  // makes it 48 bytes
+  float unused;  // pads the struct to 48 bytes
 };
 
-// Rows of tiles, the end excluded: the image's, or those of a band of it.
+// Rows of tiles, of the whole image or of a band of it; the end is excluded.
 struct TileRows {
   int first, end;
 };
 
 __device__ inline TileRows all_rows(int height) { return {0, (height + kTile - 1) / kTile}; }
 
-// The lists of all tiles of a band, which are numbered from its first row on.
+// The lists of all tiles of a band. Tiles are numbered from the band's first row on.
 struct Tiles {
   int width, height;        // of the image, pixels
   int across, count;        // tiles in a row, and in the band
   TileRows rows;            // of the band
   const int2* ranges;       // [tiles] begin and end in entries
   const int2* entries;      // [pairs] splat and slot, grouped by tile, nearest first
-  const int* bucket_ends;   // [tiles] of each tile's buckets: the first bucket behind them
+  const int* bucket_ends;   // [tiles] for each tile, the first bucket after its own
 };
 
 __device__ inline int first_bucket(const Tiles& tiles, int tile) { return tile > 0 ? tiles.bucket_ends[tile - 1] : 0; }
 
-// A pixel within its tile, by its number. A warp's 32 lie in a patch of 8x4: neighbours meet the same splats.
+// A pixel within its tile, by its number. The 32 pixels of a warp form a patch of 8x4, since neighbours have the same
+// splats.
 constexpr int kPatchWidth = 8, kPatchHeight = 4, kPatches = kTilePixels / kWarp;
 struct TilePlace {
   int x, y;
@@ -51,7 +52,7 @@ struct TilePlace {
   }
 };
 
-// The same on the image; number 0 is the tile's corner.
+// A pixel of a tile, in the image; number 0 is the tile's corner.
 struct TilePixel {
   int x, y;
 
@@ -74,8 +75,8 @@ __device__ inline Columns outline_columns(const SplatOutline& s, float y0, float
   return {c.x0 < x0 ? c.x0 : x0, c.x1 > x1 ? c.x1 : x1};
 }
 
-// Which of a tile's patches an outline can hold a pixel's centre of, as bits. (x, y): the tile's first pixel's centre;
-// cut(y0, y1): the columns that the outline takes up between those two rows, in the same coordinates.
+// Returns, as bits, the patches of a tile in which an outline can contain a pixel's centre. (x, y): the centre of the
+// tile's first pixel. cut(y0, y1): returns the outline's columns between two rows, in the same coordinates.
 template <class Cut>
 __device__ inline unsigned touched_patches(float x, float y, const Cut& cut) {
   unsigned patches = 0;
@@ -89,7 +90,7 @@ __device__ inline unsigned touched_patches(float x, float y, const Cut& cut) {
   return patches;
 }
 
-// As bits, of the tile with that corner.
+// Returns, as bits, the patches that a splat touches in the tile with this corner.
 __device__ inline unsigned touched_patches(const SplatOutline& s, const TilePixel& corner) {
   return touched_patches(float(corner.x) + 0.5f, float(corner.y) + 0.5f,
                          [&](float y0, float y1) { return outline_columns(s, y0, y1); });
@@ -108,7 +109,7 @@ __device__ inline bool on_image(const SplatOutline& s, int width, int height) {
          fmaxf(e.y + e.hy + kOutlineSlack, s.y + s.radius) >= 0 && fminf(e.y - e.hy - kOutlineSlack, s.y - s.radius) <= height;
 }
 
-// Calls visit(tile) for every tile of a band in which the outline holds a pixel's centre, row by row.
+// Calls visit(tile) for every tile of a band in which the outline contains a pixel's centre, row by row.
 template <class Visit>
 __device__ inline void for_touched_tiles(const SplatOutline& s, int width, int height, TileRows rows, const Visit& visit) {
   const float up = s.ellipse.y - s.ellipse.hy - kOutlineSlack, down = s.ellipse.y + s.ellipse.hy + kOutlineSlack;
@@ -121,7 +122,7 @@ __device__ inline void for_touched_tiles(const SplatOutline& s, int width, int h
     const float y0 = fmaxf(float(row * kTile), top), y1 = fminf(float(row * kTile + kTile - 1), bottom);
     const Columns c = outline_columns(s, y0 + 0.5f, y1 + 0.5f);
     if (c.x1 < c.x0) continue;
-    // Pixel i counts when x0 <= i + 0.5 <= x1. Held to the image first, where truncation rounds down.
+    // Pixel i counts if x0 <= i + 0.5 <= x1. The limits are clamped to the image first, so that truncation rounds down.
     const int first = int(held_between(c.x0 + 0.5f, 0.0f, float(width)));
     const int end = int(held_between(c.x1 + 0.5f, 0.0f, float(width)));
     if (first >= end) continue;
@@ -135,7 +136,7 @@ __device__ inline int count_touched_tiles(const SplatOutline& s, int width, int 
   return count;
 }
 
-// In the whole image.
+// Counts the tiles of the whole image that a splat touches.
 __device__ inline int count_touched_tiles(const SplatOutline& s, int width, int height) {
   return count_touched_tiles(s, width, height, all_rows(height));
 }

@@ -1,10 +1,12 @@
 // The environment map on the GPU.
 //
-// environment_map_forward, environment_map_backward: a thread is a pixel. Backward writes the normal's gradient, and for each map the
-// cell of four texels that was read and where within it; torch sorts those by cell, stable.
-// environment_map_cells: a warp adds up what the pixels of one cell say of its corners: each lane every 32nd of them, then the
-// lanes in a fixed tree. environment_map_texels: a thread adds to a texel's channel what its four cells say. No atomics, and the
-// same bytes at every run.
+// environment_map_forward, environment_map_backward: one thread per pixel. Backward writes the gradient of the normal.
+// For each map it also writes the cell of four texels that the pixel reads, and the pixel's place in it. A stable sort
+// in torch then orders the pixels by cell.
+// environment_map_cells: a warp sums the gradients of one cell's corners over its pixels. Each lane takes every 32nd
+// pixel, then the lanes are added in a fixed tree.
+// environment_map_texels: a thread sums one channel of a texel over its four cells.
+// There are no atomics, so every run gives the same bytes.
 #include "kernels/common/cuda.h"
 #include "math/environment_map.h"
 
@@ -14,28 +16,28 @@ constexpr int kEnvironmentMapThreads = 128;
 constexpr int kCellFields = 12;  // corners, channels
 
 struct EnvironmentMapParams {
-  int64_t count;           // pixels that are looked at
+  int64_t count;           // number of pixels to process
   const int64_t* pixels;   // [count] row * width + column, each once; or null for all
-  int width, side;         // of the image; texels along a map's side
+  int width, side;         // the width of the image; texels along a side of a map
   const float* maps;       // [2, side, side, 3]: the scene's, the camera's
   const float* normals;    // [height * width, 3], world
   float cam_from_world[9]; // rotation, row-major
   float fx, fy, cx, cy;
-  float* light;            // [height * width, 3], written by forward where it looks
+  float* light;            // [height * width, 3]; forward writes the chosen pixels
   const float* v_light;    // [height * width, 3]
-  float* v_normals;        // [height * width, 3], written by backward where it looks; or null
-  int* cells;              // [2, count] for each map, by its upper left texel; or null
-  float2* places;          // [2, count] 0..1 from there; beside cells
+  float* v_normals;        // [height * width, 3]; backward writes the chosen pixels; or null
+  int* cells;              // [2, count] the upper left texel of each pixel's cell, per map; or null
+  float2* places;          // [2, count] the place in the cell, 0..1; null if cells is
 };
 
 struct CellParams {
-  int64_t count;          // pixels that are looked at
+  int64_t count;          // number of pixels to process
   const int64_t* pixels;  // as in EnvironmentMapParams
   const float* v_light;
   const float2* places;
   int side;
   const int* cells;       // [2 * count] sorted
-  const int64_t* slots;   // [2 * count] where each was before
+  const int64_t* slots;   // [2 * count] the index of each before sorting
   float* sums;            // [2, side, side, kCellFields]
 };
 
@@ -70,7 +72,7 @@ struct Cell {
   float texel[2], x, y;
 };
 
-// The gradient of a cell's place -1..1, from that of the light [3].
+// Writes the gradient of a place -1..1, given that of the light [3].
 __device__ inline void place_gradient(const EnvironmentMapParams& p, const Cell& cell, const float* v_light, float v_place[2]) {
   v_place[0] = v_place[1] = 0.0f;
   for (int channel = 0; channel < 3; ++channel) {
@@ -81,7 +83,7 @@ __device__ inline void place_gradient(const EnvironmentMapParams& p, const Cell&
   for (int k = 0; k < 2; ++k) v_place[k] *= texel_slope(cell.texel[k], float(p.side));
 }
 
-// The first of `count` sorted numbers that is not less than `least`.
+// Returns the index of the first of `count` sorted numbers that is not less than `least`.
 __device__ inline int64_t lower_bound(const int* sorted, int64_t count, int least) {
   int64_t begin = 0;
   while (count > 0) {
@@ -129,7 +131,7 @@ MGSR_KERNEL(environment_map_backward, mgsr::EnvironmentMapParams, mgsr::kEnviron
 MGSR_KERNEL(environment_map_cells, mgsr::CellParams, mgsr::kEnvironmentMapThreads) {
   using namespace mgsr;
   const int lane = threadIdx.x % kWarp, cell = (blockIdx.x * kEnvironmentMapThreads + threadIdx.x) / kWarp;
-  if (cell >= 2 * p.side * p.side) return;  // of a whole warp
+  if (cell >= 2 * p.side * p.side) return;  // the same for the whole warp
   const int64_t begin = lower_bound(p.cells, 2 * p.count, cell), end = lower_bound(p.cells, 2 * p.count, cell + 1);
   float sums[kCellFields] = {};
   for (int64_t i = begin + lane; i < end; i += kWarp) {
@@ -143,7 +145,7 @@ MGSR_KERNEL(environment_map_cells, mgsr::CellParams, mgsr::kEnvironmentMapThread
   }
   for (int by = kWarp / 2; by > 0; by /= 2)
     for (int k = 0; k < kCellFields; ++k) sums[k] += __shfl_xor_sync(kFullWarp, sums[k], by);
-  for (int k = 0; k < kCellFields; ++k)  // each lane its own, without an index into registers
+  for (int k = 0; k < kCellFields; ++k)  // each lane writes its own field; a loop, as registers can't be indexed
     if (lane == k) p.sums[int64_t(cell) * kCellFields + k] = sums[k];
 }
 

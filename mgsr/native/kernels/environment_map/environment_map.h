@@ -1,4 +1,4 @@
-// The environment map's family: what its kernels read and write.
+// The interface of the environment map's kernels on the CPU.
 #pragma once
 
 #include <cstdint>
@@ -6,17 +6,17 @@
 namespace mgsr {
 
 struct EnvironmentMapParams {
-  int64_t count = 0;                // pixels that are looked at
+  int64_t count = 0;                // number of pixels to process
   const int64_t* pixels = nullptr;  // [count] row * width + column, each once; or null for all
-  int width = 0, side = 0;          // of the image; texels along a map's side
+  int width = 0, side = 0;          // the width of the image; texels along a side of a map
   const float* maps = nullptr;      // [2, side, side, 3]: the scene's, the camera's
   const float* normals = nullptr;   // [height * width, 3], world
   float cam_from_world[9] = {};     // rotation, row-major
   float fx = 1, fy = 1, cx = 0, cy = 0;
-  float* light = nullptr;           // [height * width, 3], written by forward where it looks
+  float* light = nullptr;           // [height * width, 3]; forward writes the chosen pixels
   const float* v_light = nullptr;   // [height * width, 3]
   float* v_maps = nullptr;          // [2, side, side, 3], overwritten by backward; or null
-  float* v_normals = nullptr;       // [height * width, 3], written by backward where it looks; or null
+  float* v_normals = nullptr;       // [height * width, 3]; backward writes the chosen pixels; or null
 };
 
 struct EnvironmentMapTable {

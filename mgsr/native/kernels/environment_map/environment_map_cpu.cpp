@@ -1,6 +1,6 @@
-// The environment map on the CPU. Pixels are taken in blocks: a lane a pixel where the sight is reflected, the three
-// channels of a texel in one vector where the maps are read. Backward cuts the pixels into parts, whose number never
-// depends on the threads; each part adds to a map of its own, and the parts' maps are added in their order.
+// The environment map on the CPU. Pixels are processed in blocks. To reflect the line of sight, each lane takes a
+// pixel. To read the maps, a vector takes the three channels of a texel. Backward cuts the pixels into parts, whose
+// number never depends on the threads. Each part adds to a map of its own, and these maps are added in order.
 #include "kernels/environment_map/environment_map.h"
 
 #include <algorithm>
@@ -16,11 +16,11 @@ namespace MGSR_ISA {
 namespace {
 
 constexpr int kBlock = 64;                   // pixels
-constexpr int64_t kChunk = 16 * kBlock;      // of forward
-constexpr int64_t kLeastPart = 32 * kBlock;  // of backward, unless there are more than kMostParts
+constexpr int64_t kChunk = 16 * kBlock;      // pixels, in forward
+constexpr int64_t kLeastPart = 32 * kBlock;  // pixels, in backward; parts are larger if there would be over kMostParts
 constexpr int64_t kMostParts = 16;
 
-// A texel's channels and a zero.
+// The three channels of a texel, and a zero.
 typedef float vtexel __attribute__((vector_size(16)));
 
 inline vtexel load_texel(const float* p) {
@@ -34,14 +34,15 @@ inline void add_texel(float* p, vtexel by) {
 }
 inline vtexel load_channels(const float* p) { return vtexel{p[0], p[1], p[2], 0.0f}; }
 
-// The sums of each vector's lanes.
+// Returns the sum of the lanes of each vector.
 inline vtexel sums(vtexel a, vtexel b, vtexel c, vtexel d) {
   const vtexel ab = __builtin_shufflevector(a, b, 0, 4, 1, 5) + __builtin_shufflevector(a, b, 2, 6, 3, 7);
   const vtexel cd = __builtin_shufflevector(c, d, 0, 4, 1, 5) + __builtin_shufflevector(c, d, 2, 6, 3, 7);
   return __builtin_shufflevector(ab, cd, 0, 1, 4, 5) + __builtin_shufflevector(ab, cd, 2, 3, 6, 7);
 }
 
-// Both maps with a texel more to the right and below, so that every texel has all its neighbours: [2, stride, stride, 4].
+// The layout of both maps, [2, stride, stride, 4], with one more texel at the right and below, so that every texel has
+// all its neighbours.
 struct PaddedMaps {
   explicit PaddedMaps(int side) : side(side), stride(side + 1), row(4 * size_t(stride)), map(row * size_t(stride)) {}
   size_t floats() const { return 2 * map; }
@@ -51,7 +52,7 @@ struct PaddedMaps {
   size_t row, map;
 };
 
-// The maps' light in that layout, the border repeated. Stays until this thread's next call.
+// Returns the maps in that layout, with the border repeated. The memory is valid until this thread's next call.
 const float* pad(const EnvironmentMapParams& p, const PaddedMaps& layout) {
   static thread_local std::vector<float> padded;
   padded.resize(layout.floats());
@@ -67,7 +68,7 @@ const float* pad(const EnvironmentMapParams& p, const PaddedMaps& layout) {
   return padded.data();
 }
 
-// Some pixels on their way through the maths. Coordinates are in texels: [map][x, y].
+// The intermediate values of a block of pixels. Coordinates are in texels: [map][x, y].
 struct Block {
   int count;
   int64_t pixel[kBlock];
@@ -76,7 +77,7 @@ struct Block {
   float texel[2][2][kBlock], v_texel[2][2][kBlock];
 };
 
-// Pixel numbers to their rays, with a division only where a row begins.
+// Converts pixel numbers to rays, with a division only at the beginning of a row.
 class Rays {
  public:
   explicit Rays(const EnvironmentMapParams& p)
@@ -106,7 +107,7 @@ struct Rotation {
   Floats R[9];
 };
 
-// Pixels first.. of the list into the block: where on the maps their light is. Lanes past the end repeat the last.
+// Computes the places on the maps for the block of pixels from `first` on. Lanes past the end repeat the last pixel.
 void reflect_block(const EnvironmentMapParams& p, const Rotation& rotation, Rays& rays, int64_t first, int64_t end, Block& b) {
   b.count = int(std::min<int64_t>(end - first, kBlock));
   const int groups = (b.count + kWidth - 1) / kWidth;
@@ -168,8 +169,8 @@ void forward(const EnvironmentMapParams& p) {
   });
 }
 
-// What the pixels' light says of their places on the maps, in texels, where the normals' gradient is wanted; and of the
-// maps, where theirs is: added to v_maps.
+// Computes the gradients of the pixels' places on the maps, in texels, if the normals' gradient is requested. Adds the
+// gradients of the maps to v_maps, if those are requested.
 void look_back(const EnvironmentMapParams& p, const PaddedMaps& layout, const float* maps, Block& b, float* v_maps) {
   const bool to_normals = p.v_normals != nullptr, to_maps = p.v_maps != nullptr;
   for (int i = 0; i < b.count; ++i) {
@@ -201,8 +202,8 @@ void normal_gradients(const EnvironmentMapParams& p, const Rotation& rotation, c
   }
 }
 
-// The parts' maps [parts, 2, stride, stride, 4] added in their order, without the texels that the layout adds: what falls
-// on those has no weight.
+// Adds the maps of the parts [parts, 2, stride, stride, 4] in order, without the texels that the layout adds; those
+// have no weight.
 void add_parts(const EnvironmentMapParams& p, const PaddedMaps& layout, const float* of_parts, int64_t parts) {
   parallel_chunks(2 * p.side, 8, [&](int64_t begin, int64_t end) {
     for (int64_t line = begin; line < end; ++line) {

@@ -1,5 +1,5 @@
-// The fusion family: what depth maps vote on places, and a field of distances that agrees with each voxel's votes and
-// varies little in all.
+// Depth fusion on the CPU: depth maps vote on the distances of points, and a field of distances is fitted to the votes
+// under total variation (Zach, 2008).
 #pragma once
 
 #include <cstdint>
@@ -7,8 +7,8 @@
 
 namespace mgsr {
 
-// A depth map, camera z, and the weight of each pixel [height * width]; its pinhole camera with OpenCV axes and pixel
-// centres at +0.5, and its pose, world to camera, the rotation row-major.
+// A depth map (camera z) and the weight of each pixel [height * width], with its pinhole camera: OpenCV axes, pixel
+// centres at +0.5. The pose maps the world to the camera, and its rotation is row-major.
 struct VotingView {
   int width = 0, height = 0;
   const float *depth = nullptr, *weights = nullptr;
@@ -18,12 +18,12 @@ struct VotingView {
 
 struct VotingParams {
   std::vector<VotingView> views;
-  int64_t count = 0;                // of the points
+  int64_t count = 0;                // number of points
   const double* points = nullptr;   // [count, 3] world
-  double reach = 1;                 // distance to a map's surface that is the end of the histogram
-  float solid_weight = 0;           // share of its weight with which a map votes on what lies farther behind
-  float solid_depth = 1;            // of reach; what lies as far behind is not voted on
-  int bins = 0;                     // of the histograms; they part -1..1 evenly, positive is behind the surface
+  double reach = 1;                 // the distance to a map's surface at the end of the histogram
+  float solid_weight = 0;           // share of a map's weight for points farther than `reach` behind its surface
+  float solid_depth = 1;            // in units of reach; points this far behind the surface get no vote
+  int bins = 0;                     // number of bins, which divide -1..1 evenly; positive is behind the surface
   float* votes = nullptr;           // [count, bins] overwritten
 };
 
@@ -31,12 +31,12 @@ struct FusionParams {
   int64_t shape[3] = {};            // of the grid: voxels along x, y, z
   int64_t count = 0;                // voxels whose values are sought
   const int64_t* voxels = nullptr;  // [count] (x * shape[1] + y) * shape[2] + z, each once
-  int bins = 0;                     // of the histograms; they part -1..1 evenly
-  const float* votes = nullptr;     // [count, bins] weights of the distances in each bin, not negative
-  const float* most = nullptr;      // [x, y, z] what the field may be at most, -1 or more
-  float strength = 0;               // of the total variation against the votes
+  int bins = 0;                     // number of bins, which divide -1..1 evenly
+  const float* votes = nullptr;     // [count, bins] weights of the bins' distances, not negative
+  const float* most = nullptr;      // [x, y, z] upper limits of the field, -1 or more
+  float strength = 0;               // weight of the total variation relative to the votes
   int rounds = 0;
-  float* field = nullptr;           // [x, y, z] -1..1; read as the start, and written for the voxels sought
+  float* field = nullptr;           // [x, y, z] -1..1; the start, overwritten at `voxels`
 };
 
 struct FusionTable {

@@ -1,9 +1,9 @@
-// Votes of depth maps, and their fusion under total variation, as in Zach (2008), by the primal-dual steps of Chambolle
-// and Pock (2011).
+// The votes of depth maps, and their fusion under total variation (Zach, 2008) by the primal-dual algorithm of
+// Chambolle and Pock (2011).
 //
 // The field u minimises  sum over voxels of  votes(d) |u - d|, integrated over d,  +  strength |gradient of u|. A bin's
-// votes are spread evenly over its width, so that the field is not drawn to the bins' middles. The gradient is that of
-// forward differences, 0 where the grid ends.
+// votes are spread evenly over its width, so that the field is not attracted to the middles of bins. The gradient is by
+// forward differences, 0 at the end of the grid.
 #include "kernels/fusion/fusion.h"
 
 #include <algorithm>
@@ -16,12 +16,12 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-constexpr int64_t kRows = 16;     // rows along z in a piece of work
-constexpr int64_t kVoxels = 4096; // voxels or points in a piece of work
-// Both step lengths: the squared norm of the gradient in three dimensions is 12 at most.
+constexpr int64_t kRows = 16;     // rows along z per task
+constexpr int64_t kVoxels = 4096; // voxels or points per task
+// The primal and the dual step length. The squared norm of the gradient operator in three dimensions is at most 12.
 const float kStep = 1 / std::sqrt(12.0f);
 
-// A part of a row along z whose gradients the voxels sought depend on.
+// The part of a row along z whose gradients affect the voxels that are fitted.
 struct Span {
   int64_t begin = INT64_MAX, end = 0;
   void add(int64_t z) { begin = std::min(begin, z), end = std::max(end, z + 1); }
@@ -61,7 +61,7 @@ class Field {
       if (spans_[row].end) rows_.push_back(int64_t(row));
   }
 
-  // The votes' pull at each edge between bins: the weight of what is larger, less that of what is smaller.
+  // Finds the votes' pull at each edge between bins: the weight of all larger distances less that of all smaller ones.
   void find_slopes() {
     pulls_.resize(size_t(p_.count * (p_.bins + 1)));
     for (int64_t i = 0; i < p_.count; ++i) {
@@ -74,7 +74,7 @@ class Field {
     }
   }
 
-  // The dual variables of a row follow the field's gradient, to a length of `strength`.
+  // The dual step of a row: adds the field's gradient to the dual variables, and limits their length to `strength`.
   void climb(int64_t row) {
     const Span span = spans_[size_t(row)];
     const bool last_x = row / p_.shape[1] + 1 == p_.shape[0], last_y = row % p_.shape[1] + 1 == p_.shape[1];
@@ -106,7 +106,8 @@ class Field {
     ahead_[size_t(at)] = 2 * now - before;
   }
 
-  // The value u in -1..1 at which u - v equals kStep times the votes' pull, which falls from edge to edge.
+  // The primal step: returns u in -1..1 at which u - v equals kStep times the votes' pull, which falls from edge to
+  // edge.
   float nearest(float v, const float* pulls) const {
     const float width = 2.0f / float(p_.bins);
     float over = -1 - v - kStep * pulls[0];
@@ -120,17 +121,17 @@ class Field {
   }
 
   const FusionParams& p_;
-  const int64_t row_, slice_;   // voxels from one to the next along y and along x
-  std::vector<float> ahead_;    // the field, extrapolated by its last change
+  const int64_t row_, slice_;   // the distances in voxels of neighbours along y and along x
+  std::vector<float> ahead_;    // the field extrapolated by its last change
   std::vector<float> dual_[3];  // along x, y, z
   std::vector<float> pulls_;    // [count, bins + 1]
   std::vector<Span> spans_;     // of each row
-  std::vector<int64_t> rows_;   // that have one
+  std::vector<int64_t> rows_;   // the rows with a span
 };
 
 void regularise(const FusionParams& p) { Field(p).run(); }
 
-// Adds the word of one map on a point to the point's histogram.
+// Adds the vote of one map to the histogram of a point.
 void vote_on(const VotingParams& p, const VotingView& view, const double* at, float* votes) {
   const double *turn = view.rotation, *move = view.translation;
   const double z = turn[6] * at[0] + turn[7] * at[1] + turn[8] * at[2] + move[2];

@@ -1,8 +1,8 @@
-// The walk back through the 3D branch's blending: from gradient images to a gradient for each (splat, tile) pair.
+// The backward pass of the 3D branch's blending: from gradient images to a gradient for each (splat, tile) pair.
 //
-// It goes front to back too. With g = v_out . (what the splat adds), the gradient to alpha_i is
-// T_i g_i - (everything behind i) / (1 - alpha_i), and "everything behind" is the pixel's total less a running sum: one
-// scalar however many channels there are. Sums over a tile's pixels go to the pair's own slot.
+// It also goes front to back. With g = v_out . (the splat's colour and depth), the gradient of alpha_i is
+// T_i g_i - (sum over all splats behind i) / (1 - alpha_i). That sum is the pixel's total less a running sum, so it is
+// one scalar for any number of channels. The sums over a tile's pixels go to the pair's own slot.
 #pragma once
 
 #include "kernels/common/pairs.h"
@@ -12,12 +12,12 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-// The gradient images at a sub-tile's pixels, made ready for the walk.
+// The gradient images at a sub-tile's pixels, prepared for the walk.
 template <bool Dual, bool Depth>
 struct PixelGradients {
-  float color[4][16] = {};  // of depth too, the last one
+  float color[4][16] = {};  // the gradients of colour and, as the fourth, of depth
   float weight[16] = {}, refl_color[3][16] = {};
-  // What the walk will have added up by its end, and what lies behind the last splat.
+  // The pixel's totals: the sum over all splats, and the background behind the last one.
   float behind[16] = {}, refl_behind[16] = {};
 
   PixelGradients(const GaussianInputs& in, const GaussianState& state, const GaussianImages& out, const GaussianImages& v,
@@ -47,20 +47,20 @@ struct PixelGradients {
   }
 };
 
-// What the walk finds for a batch: for each splat, its pixels' shares and gradients of the exponent.
+// The result of the walk for a batch: for each splat, its share and the gradient of its exponent at each pixel.
 struct Steps {
   alignas(64) float share[kBatch][16], exponent[kBatch][16], refl_share[kBatch][16], refl_exponent[kBatch][16];
 };
 
 inline vfloat dot(const vfloat a[3], const float b[3]) { return fma(a[0], splat(b[0]), fma(a[1], splat(b[1]), a[2] * b[2])); }
 
-// One splat's step at a vector of pixels, where a share of it adds `gain` each to the loss.
+// blend_vjp of one splat at a vector of pixels.
 inline void step(vfloat alpha, vfloat T, vfloat gain, vfloat& behind, float* share, float* v_exponent) {
   const vfloat w = alpha * T;
   behind = fma(-w, gain, behind);
   const vfloat v_alpha = fma(T, gain, -(behind * reciprocal(1.0f - alpha)));
   store(share, w);
-  // Zero where alpha is held at its maximum, and where it is 0.
+  // The gradient is zero where alpha is clamped to its maximum, and where it is 0.
   store(v_exponent, keep(alpha < kMaxAlpha, v_alpha * alpha));
 }
 
@@ -91,15 +91,15 @@ inline void walk_reflected(const Batch<true>& batch, int v, const PixelGradients
   behind = left;
 }
 
-// From here on a vector has a splat to each lane.
+// From here on, each lane of a vector is a splat.
 
-// The steps' values at kWidth pixels from `pixel` on.
+// Transposes the steps' values at kWidth pixels from `pixel` on.
 inline void turn(const float steps[kBatch][16], int pixel, vfloat by_pixel[kWidth]) {
   for (int e = 0; e < kBatch; ++e) by_pixel[e] = load(steps[e] + pixel);
   transpose(by_pixel);
 }
 
-// Sums over a sub-tile's pixels, with their offsets from its middle.
+// Moments over a sub-tile's pixels, with their offsets from its middle.
 struct Moments {
   vfloat one = {}, x = {}, y = {}, xx = {}, xy = {}, yy = {};
 
@@ -110,7 +110,7 @@ struct Moments {
     y = fma(splat(row), sum, y), xy = fma(splat(row), sum_x, xy), yy = fma(splat(row * row), sum, yy);
   }
 
-  // The moments with the middle at (dx, dy).
+  // Writes the moments relative to the splat's centre, from which the middle is at (dx, dy).
   void write(vfloat dx, vfloat dy, vfloat fields[kPairFields]) const {
     const vfloat from_x = fma(dx, one, x), from_y = fma(dy, one, y);
     fields[kDx] = from_x, fields[kDy] = from_y;
@@ -119,7 +119,8 @@ struct Moments {
   }
 };
 
-// fields[k] += the shares times image k of some gradient images, whose rows are given from the first pixel on.
+// Adds to fields[k] the product of the shares with gradient image k. The images' rows are given from the first pixel
+// on.
 template <int Images>
 inline void add_products(const vfloat shares[kWidth], const float (*v_images)[16], int pixel, vfloat fields[Images]) {
   vfloat sums[Images];
@@ -151,7 +152,7 @@ inline void gather(const Steps& steps, const PixelGradients<Dual, Depth>& g, vfl
   moments.write(dx, dy, fields);
 }
 
-// pairs: [tile's entries, kPairFields] gets the sums of a batch's splats added.
+// Adds the sums of a batch's splats to pairs [tile's entries, kPairFields].
 inline void add_to_pairs(vfloat fields[kPairFields], const uint32_t* list, int n, float* pairs) {
   for (int k = 0; k < kPairFields; k += kWidth) {
     transpose(fields + k);

@@ -1,7 +1,8 @@
-// The walk back through the 3D branch's blending: from gradient images to a gradient for each (splat, tile) pair.
+// The backward pass of the 3D branch's blending: from gradient images to a gradient for each (splat, tile) pair.
 //
-// With g = v_out . (what the splat adds), the gradient to alpha_i is T_i g_i - (everything behind i) / (1 - alpha_i), and
-// "everything behind" is the pixel's total less a running sum: one scalar however many channels there are.
+// With g = v_out . (the splat's colour and depth), the gradient of alpha_i is
+// T_i g_i - (sum over all splats behind i) / (1 - alpha_i). That sum is the pixel's total less a running sum, so it is
+// one scalar for any number of channels.
 #pragma once
 
 #include "kernels/common/buckets_cuda.h"
@@ -9,12 +10,12 @@
 
 namespace mgsr {
 
-// What the walk needs of a pixel, [tiles, planes, 256]: the gradients of its images, and what the walk will have added up
-// by its end, with what lies behind the last splat.
+// The inputs of the walk at a pixel, [tiles, planes, 256]: the gradients of its images, and its totals, which are the
+// sums over all splats and the background behind them.
 enum GaussianPixelPlane { kVColor, kVDepth = kVColor + 3, kBehind, kSinglePixelPlanes, kVWeight = kSinglePixelPlanes, kVReflColor,
                         kReflBehind = kVReflColor + 3, kDualPixelPlanes };
 
-// Images of the forward pass and gradients of images may be null: then they count as zero.
+// Null images of the forward pass and null gradients count as zero.
 struct GaussianPixelParams {
   Tiles tiles;
   const float *transmittance, *color, *depth, *reflected, *weight;
@@ -31,7 +32,7 @@ struct GaussianBackwardParams {
   float* pairs;          // [pairs, kPairFields] by slot
 };
 
-// A thread is a pixel of the tile that is its block.
+// A block is a tile, and a thread one of its pixels.
 template <bool Dual>
 __device__ void prepare_pixel(const GaussianPixelParams& p) {
   const TilePixel pixel(p.tiles, blockIdx.x, threadIdx.x);
@@ -66,8 +67,8 @@ __device__ void prepare_pixel(const GaussianPixelParams& p) {
   out[kBehind * kTilePixels] = total;
 }
 
-// What a pixel says of a splat: what the splat adds to the loss's sums is share times its colour, and the exponent's
-// gradient; the same of the reflected part.
+// The contribution of a pixel to a splat's gradients: the splat's share and the gradient of its exponent, and the same
+// for the reflected part.
 template <bool Dual>
 struct GaussianTerms;
 template <>
@@ -79,8 +80,8 @@ struct alignas(16) GaussianTerms<true> {
   float share, v_exponent, refl_share, v_refl_exponent;
 };
 
-// A warp's shared memory. sums: of its splats' fields; terms: of a chunk's splats, by pixel; gradients: of the patch's
-// pixels, color and depth, reflected color and weight.
+// A warp's shared memory. sums: the fields of its splats. terms: the contributions to a chunk's splats, by pixel.
+// gradients: those of the patch's pixels for colour and depth, and for reflected colour and weight.
 template <bool Dual>
 struct GaussianStage {
   static constexpr int kSums = Dual ? 16 : 12;
@@ -90,13 +91,13 @@ struct GaussianStage {
   float4 gradients[Dual ? 2 : 1][kWarp];
 };
 
-// What walk_patches needs.
+// The walk for walk_patches.
 template <bool Dual>
 struct GaussianWalk {
   GaussianStage<Dual>& stage;
-  const float *state, *planes;  // of the bucket; of the tile
+  const float *state, *planes;  // the bucket's states; the tile's planes
   int patch = 0;
-  float x = 0.0f, y = 0.0f;     // of the lane's pixel in the tile
+  float x = 0.0f, y = 0.0f;     // the lane's pixel in the tile
   float transmittance = 0.0f, behind = 0.0f, v_color[3] = {}, v_depth = 0.0f;
   float refl_transmittance = 0.0f, refl_behind = 0.0f, v_refl_color[3] = {}, v_weight = 0.0f;
 
@@ -120,7 +121,7 @@ struct GaussianWalk {
     return true;
   }
 
-  // A closed pixel has no part in anything, and none outside of the image has gradients.
+  // Finished pixels contribute nothing, and pixels outside the image have no gradients.
   __device__ void load(bool open) {
     behind = open ? of_pixel(kBehind) : 0.0f;
     for (int k = 0; k < 3; ++k) take(open, kVColor + k, kColorPlane + k, v_color[k], behind);
@@ -167,7 +168,7 @@ struct GaussianWalk {
     for (int k = 0; k < kSums / 4; ++k) sums[k] += fields[k];
   }
 
-  // Along a row only dx changes, by one a pixel.
+  // Along a row only dx changes, by one per pixel.
   __device__ void add_row(const GaussianInTile& r, const ChunkPlace& mine, float* fields) const {
     const float left = r.x + float(patch % 2 * kPatchWidth), dy = r.y + float(patch / 2 * kPatchHeight + mine.row);
     float moment = 0.0f;
@@ -194,7 +195,7 @@ struct GaussianWalk {
   }
 };
 
-// The sums that the lane's splat has in the end.
+// Returns the final sums of the lane's splat.
 template <bool Dual>
 __device__ inline void walk_splats(const GaussianBackwardParams& p, const Bucket& bucket, int number, bool mine, int splat,
                                    GaussianStage<Dual>& stage, float* fields) {

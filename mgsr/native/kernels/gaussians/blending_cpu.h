@@ -12,22 +12,22 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-// The walk goes in batches, each in stages: the footprints of a batch's splats and their alphas, which do not wait for one
-// another; the transmittance, which does; then what is made of it. In one loop the processor would not see far
-// enough ahead to overlap them. A batch has a splat for each lane of a vector, so that the backward pass can turn it over
-// and sum over pixels.
+// The walk processes batches of splats, each in stages: first the footprints and alphas, which are independent; then
+// the transmittance, which depends on the splats before; then the use of both. In a single loop the processor could not
+// look far enough ahead to overlap them. A batch has one splat per lane of a vector, so that the backward pass can
+// transpose it and sum over pixels.
 constexpr int kBatch = kWidth;
 
-// The vectors of a sub-tile's pixels once, or once for each of the two layers.
+// Returns the number of pixel vectors of a sub-tile, counted once, or once for each of the two layers.
 constexpr int chains(bool dual) { return dual ? 2 * kVectors : kVectors; }
 
-// Splats on a sub-tile. The last batch of a list is filled up with splats that count nowhere.
+// A batch of splats on a sub-tile. The last batch of a list is padded with splats that count nowhere.
 template <bool Dual>
 struct Batch {
   const GaussianRecord* splat[kBatch];
   float dx[kBatch], dy[kBatch];          // from their centres to the sub-tile's corner
-  vfloat alpha[kBatch][chains(Dual)];    // 0 where one does not count
-  vfloat T[kBatch][chains(Dual)];        // before it
+  vfloat alpha[kBatch][chains(Dual)];    // 0 where a splat does not count
+  vfloat T[kBatch][chains(Dual)];        // the transmittance before the splat
 };
 
 inline vfloat alpha_of(float opacity, vfloat weight) {
@@ -35,7 +35,7 @@ inline vfloat alpha_of(float opacity, vfloat weight) {
   return keep(raw >= kMinAlpha, min(raw, splat(kMaxAlpha)));
 }
 
-// Leaves the exponents of a splat's weights in alpha.
+// Writes the exponents of a splat's weights to alpha.
 template <bool Dual>
 inline void meet(const GaussianRecord& r, const Pixels& pixels, int e, Batch<Dual>& batch) {
   const float x = float(pixels.x0 - r.x) - r.x_rest, y = float(pixels.y0 - r.y) - r.y_rest;
@@ -47,7 +47,7 @@ inline void meet(const GaussianRecord& r, const Pixels& pixels, int e, Batch<Dua
   }
 }
 
-// From the exponents of the weights to the alphas.
+// Replaces the exponents of the weights in alpha by the alphas.
 template <bool Dual>
 inline void raise_alphas(Batch<Dual>& batch) {
   constexpr int kAtOnce = 4 / kVectors > 0 ? 4 / kVectors : 1;
@@ -64,7 +64,7 @@ inline void raise_alphas(Batch<Dual>& batch) {
   }
 }
 
-// Meets up to kBatch splats of a sub-tile's list and lets them pass; returns how many.
+// Composites up to kBatch splats of a sub-tile's list, and returns their number.
 template <bool Dual>
 inline int composite_splats(const GaussianState& state, const SubTileLists& sub, const uint32_t* list, int count, const Pixels& pixels,
                        vfloat transmittances[chains(Dual)], Batch<Dual>& batch) {
@@ -76,12 +76,12 @@ inline int composite_splats(const GaussianState& state, const SubTileLists& sub,
   return n;
 }
 
-// What blending adds up at a sub-tile's pixels.
+// The sums of blending at a sub-tile's pixels.
 struct Blend {
   vfloat color[3][kVectors] = {}, depth[kVectors] = {}, weight[kVectors] = {}, refl_color[3][kVectors] = {};
 };
 
-// The sums of a few images at a vector of pixels, held in registers while a batch is added.
+// The sums of a few images at a vector of pixels, kept in registers while a batch is added.
 template <int Count>
 struct Sums {
   vfloat value[Count];

@@ -1,7 +1,8 @@
 // Blending the 3D branch's splats, front to back. A block is a tile, a thread a pixel.
 //
-// The block takes its list 256 splats at a time into shared memory, a splat a thread, and finds which of the tile's patches
-// of 8x4 pixels each touches. A warp has a patch: of each bucket of 32 splats, it walks those alone that touch it.
+// The block loads its list into shared memory, 256 splats at a time and one per thread, and finds the patches of 8x4
+// pixels that each splat touches. A warp has one patch. Of each bucket of 32 splats, it walks only those that touch its
+// patch.
 #pragma once
 
 #include "kernels/common/tiles_cuda.h"
@@ -10,7 +11,7 @@
 
 namespace mgsr {
 
-// A pixel's state at the begin of a bucket, [buckets, planes, 256]: its two transmittances, and what it has added up.
+// A pixel's state at the beginning of a bucket, [buckets, planes, 256]: its two transmittances, and its sums so far.
 enum GaussianPlane { kTransmittancePlane, kColorPlane, kDepthPlane = kColorPlane + 3, kSinglePlanes, kWeightPlane = kSinglePlanes,
                    kReflLightPlane, kReflColorPlane, kDualPlanes = kReflColorPlane + 3 };
 
@@ -21,11 +22,11 @@ struct GaussianBlendParams {
   float *color, *alpha, *depth;          // [H,W,3], [H,W], [H,W] or null
   float *reflected, *weight;             // [H,W,3], [H,W]; null for single opacity
   float* transmittance;                  // [H,W]
-  float* states;                         // or null, when there will be no backward pass
-  int* reached;                          // [tiles] how many splats of its list were looked at
+  float* states;                         // or null, if no backward pass follows
+  int* reached;                          // [tiles] number of splats of each list that were processed
 };
 
-// A record as the walks over a tile read it.
+// A record in the form that the walks over a tile read.
 struct alignas(16) GaussianInTile {
   float x, y;  // from the centre to the tile's first pixel's centre
   float root[3];
@@ -43,14 +44,14 @@ __device__ inline GaussianInTile in_tile(const GaussianRecord& r, const TilePixe
           r.refl_opacity, r.weight, {r.refl_color[0], r.refl_color[1], r.refl_color[2]}, 0.0f};
 }
 
-// A splat's weight at (dx, dy) pixels from its centre. Products and fused operations only, so that forward and backward
-// round alike.
+// Returns a splat's weight at (dx, dy) pixels from its centre. It uses only products and fused operations, so that
+// forward and backward round alike.
 __device__ inline float gaussian_weight(const GaussianInTile& r, float dx, float dy) {
   const float u = fmaf(r.root[1], dy, __fmul_rn(r.root[0], dx)), v = __fmul_rn(r.root[2], dy);
   return quick_exp2(fmaf(-u, u, -__fmul_rn(v, v)));
 }
 
-// The patches of a tile in which a splat can count, as bits.
+// Returns, as bits, the patches of a tile in which a splat can count.
 __device__ inline unsigned touched_patches(const GaussianInTile& r) {
   const float a = r.root[0], b = r.root[1], c = r.root[2], slope = -b / a, k = c * c / (a * a);
   const float exponent = log2f(fmaxf(r.opacity, r.refl_opacity) / (0.99f * kMinAlpha)), reach = sqrtf(exponent) / c;
@@ -65,7 +66,7 @@ struct GaussianPixel {
 
   __device__ bool open() const { return transmittance > 0.0f || (Dual && refl_transmittance > 0.0f); }
 
-  // (x, y): the pixel's place in the tile.
+  // Composites a splat. (x, y): the pixel's place in the tile.
   __device__ void add(const GaussianInTile& r, float x, float y) {
     const float w = gaussian_weight(r, r.x + x, r.y + y);
     const float T = transmittance, share = transmit(counted_alpha(r.opacity * w), transmittance) * T;
@@ -80,7 +81,7 @@ struct GaussianPixel {
   __device__ void save(float* state, int pixel) const {
     state[kTransmittancePlane * kTilePixels + pixel] = transmittance;
     if (Dual) state[kReflLightPlane * kTilePixels + pixel] = refl_transmittance;
-    if (!open()) return;  // the backward pass looks no further
+    if (!open()) return;  // the backward pass reads no states of a finished pixel
     for (int k = 0; k < 3; ++k) state[(kColorPlane + k) * kTilePixels + pixel] = color[k];
     state[kDepthPlane * kTilePixels + pixel] = depth;
     if (!Dual) return;

@@ -1,10 +1,10 @@
 // 3D Gaussians on the GPU.
 //
-// Forward: gaussians_project (one thread, one splat); then, by mgsr/native/cuda/tiles.py, the sort by depth and the tiles'
-// lists; gaussians_blend (one block, one tile; one thread, one pixel). Backward: gaussians_pixels makes the gradient images
-// ready; gaussians_backward (one warp, one bucket of 32 splats of a tile) leaves each (splat, tile) pair's gradient in the
-// pair's own slot; tiles_sum adds a splat's slots in their order; gaussians_gradients (one thread, one splat) takes the sums
-// back to the parameters.
+// Forward: gaussians_project runs one thread per splat. mgsr/native/cuda/tiles.py then sorts by depth and makes the
+// tiles' lists. gaussians_blend runs one block per tile and one thread per pixel.
+// Backward: gaussians_pixels prepares the gradient images. gaussians_backward runs one warp per bucket of 32 splats of
+// a tile, and writes each (splat, tile) pair's gradient to the pair's own slot. tiles_sum adds a splat's slots in their
+// order. gaussians_gradients runs one thread per splat, and converts the sums to gradients of the parameters.
 #include "kernels/gaussians/backward_cuda.h"
 #include "kernels/gaussians/blending_cuda.h"
 #include "kernels/gaussians/projection_cuda.h"

@@ -1,4 +1,4 @@
-// The 3D branch on the CPU: what goes in, what comes out, and what the backward pass needs kept from the forward pass.
+// The interface of the 3D branch on the CPU: inputs, outputs, and the state that the backward pass needs.
 #pragma once
 
 #include <vector>
@@ -20,13 +20,13 @@ struct GaussianInputs {
   Camera<float> camera;
   int width, height;
   float near, low_pass;                        // camera units; px^2
-  bool compensate;                             // take back the energy that the low-pass adds
-  bool depth;                                  // whether depth is asked for
+  bool compensate;                             // whether to undo the energy that the low-pass adds
+  bool depth;                                  // whether depth is requested
 };
 
 struct GaussianImages {
   float *color, *alpha;       // [H,W,3] transmitted with background, [H,W] 1 - transmittance
-  float* depth;               // [H,W] mean camera depth, 0 where nothing; null when not asked for
+  float* depth;               // [H,W] mean camera depth, 0 without splats; null if not requested
   float *reflected, *weight;  // [H,W,3], [H,W]; null for single opacity
 };
 
@@ -35,10 +35,10 @@ struct GaussianGradients {
   float* means2d;  // [N,2] pixels: gradient of the loss to each splat's projected centre
 };
 
-// Kept between forward and backward. Its vectors keep their memory when it is used again.
+// The state between forward and backward. Its vectors keep their memory when it is reused.
 struct GaussianState {
-  std::vector<GaussianRecord> records;   // [N], set where a splat is visible
-  std::vector<float> depths;           // [N] of the centres, -1 where a splat was culled
+  std::vector<GaussianRecord> records;   // [N], set only for visible splats
+  std::vector<float> depths;           // [N] of the centres, -1 for culled splats
   DepthSort sort;
   TileLists lists;
   std::vector<float> transmittance;    // [H,W], final
@@ -46,10 +46,10 @@ struct GaussianState {
 };
 
 struct GaussianKernels {
-  // radii: [N] pixels, 0 where culled.
+  // radii: [N] pixels, 0 for culled splats.
   void (*forward)(const GaussianInputs&, GaussianState&, const GaussianImages&, float* radii);
-  // `images` are the forward pass's outputs; a null gradient image means zero. Gradients are written where a splat is
-  // visible; the caller zeroes them first.
+  // images: the outputs of the forward pass. A null gradient image means zero. Only gradients of visible splats are
+  // written; the caller zeroes them first.
   void (*backward)(const GaussianInputs&, GaussianState&, const GaussianImages& images, const GaussianImages& v_images,
                    const GaussianGradients&);
 };

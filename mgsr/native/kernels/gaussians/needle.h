@@ -1,4 +1,4 @@
-// The way back through a needle's projection, the same on both machines.
+// The derivative of the projection of needles (see is_needle), the same on the CPU and the GPU.
 #pragma once
 
 #include "kernels/gaussians/record.h"
@@ -6,8 +6,9 @@
 
 namespace mgsr {
 
-// From the sums over a splat's pairs to the gradients of its geometry (added to v_mean[3], v_quat[4], v_scale[3]) and of its
-// projection, which are returned. In float64, and from the parameters anew: the record's root has float's digits alone.
+// Adds the gradients of a splat's geometry to v_mean[3], v_quat[4] and v_scale[3], given the sums over its pairs.
+// Returns the gradients of its projection. It works in float64 and projects again, because the record's root is only a
+// float.
 MGSR_HD ProjectedGaussian<double> needle_gradients(const Camera<double>& cam, const double mean[3], const double quat[4],
                                                    const double scale[3], double low_pass, const float* total,
                                                    double v_compensation, double v_mean[3], double v_quat[4],

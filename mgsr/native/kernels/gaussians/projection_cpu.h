@@ -1,5 +1,5 @@
-// From the 3D branch's parameters to its splats on the image and into the tiles' lists, and back to gradients of the
-// parameters. A few splats at once, one to each lane of a vector.
+// The projection of the 3D branch's splats to the image and to the tiles, and its derivative. It processes a few splats
+// at once, one per lane of a vector.
 #pragma once
 
 #include <algorithm>
@@ -18,7 +18,7 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-// The geometry of a few splats, as the maths wants it.
+// The geometry of a few splats, in the form that the maths takes.
 template <class L>
 struct Geometry {
   L mean[3], quat[4], scale[3];
@@ -30,14 +30,14 @@ struct Geometry {
   }
 };
 
-// What is left of a splat's opacities by the compensation.
+// A splat's opacities after the compensation.
 struct Opacities {
   float main, refl;
 
   Opacities(const GaussianInputs& in, int64_t i, float compensation)
       : main(in.opacities[i] * compensation), refl(in.refl_opacities ? in.refl_opacities[i] * compensation : 0.0f) {}
   float strongest() const { return std::max(main, refl); }
-  // Written so that a NaN also gives false.
+  // In this form, NaN also gives false.
   bool visible() const { return strongest() >= kMinAlpha && strongest() <= 1e6f && main >= 0 && refl >= 0; }
 };
 
@@ -46,8 +46,9 @@ bool finite_colors(const GaussianInputs& in, int64_t i) {
   return !in.refl_colors || (all_finite(in.refl_colors + 3 * i, 3) && all_finite(in.weights + i, 1));
 }
 
-// Splats on the image, in float64. A threshold decides whether a splat counts for a pixel. The rounding error of float32
-// for a centre 256 pixels out is 1e-5 in the exponent, which flips some thousands of these decisions in a view.
+// Splats on the image, in float64, because a threshold decides whether a splat counts at a pixel. For a centre 256
+// pixels from the origin, rounding to float32 causes an error of 1e-5 in the exponent. That flips thousands of these
+// decisions in a view.
 struct Footprints {
   ProjectedGaussian<Doubles> g;
   Doubles root[3];
@@ -83,7 +84,7 @@ Ellipse lane_of(const EllipseForm<Doubles>& e, int lane) {
            float(e.slope[lane]), float(e.w2[lane]), float(e.k[lane])}};
 }
 
-// Projects the splats [begin, end), at most as many as there are lanes. radii: [N] pixels, 0 where culled.
+// Projects the splats [begin, end), at most one per lane. radii: [N] pixels, 0 for culled splats.
 void project_few(const GaussianInputs& in, const Camera<Doubles>& camera, int64_t begin, int64_t end, GaussianState& state,
                  float* radii) {
   int64_t splats[Doubles::kCount];
@@ -113,7 +114,7 @@ void project_few(const GaussianInputs& in, const Camera<Doubles>& camera, int64_
   }
 }
 
-// Projects and culls all splats, and notes the tiles that the visible ones touch.
+// Projects and culls all splats, and records the tiles that the visible ones touch.
 void project_all(const GaussianInputs& in, GaussianState& state, float* radii) {
   state.records.resize(in.count), state.depths.resize(in.count);
   start_lists(state.lists, in.count, in.width, in.height);
@@ -125,7 +126,7 @@ void project_all(const GaussianInputs& in, GaussianState& state, float* radii) {
   });
 }
 
-// The gradients of projected splats, from the moments of their exponents' gradients.
+// Returns the gradients of projected splats, given the moments of their exponents' gradients.
 ProjectedGaussian<Floats> projected_gradients(const GaussianState& state, const int64_t splats[Floats::kCount],
                                               const Floats total[kPairFields]) {
   Floats root[3];
@@ -133,7 +134,7 @@ ProjectedGaussian<Floats> projected_gradients(const GaussianState& state, const 
   return footprint_vjp(root, total[kDx], total[kDy], total[kDxx], total[kDxy], total[kDyy], total[kDepth]);
 }
 
-// The gradients that need no projection; returns that of the compensation, 0 where there is none.
+// Writes the gradients that need no projection. Returns the gradient of the compensation, 0 without compensation.
 float light_backward(const GaussianInputs& in, const GaussianRecord& r, int64_t i, const float total[kPairFields],
                      const GaussianGradients& v) {
   // The exponent's and the opacity's gradients differ by the factor o; alpha = (o * compensation) * G.
@@ -150,7 +151,7 @@ float light_backward(const GaussianInputs& in, const GaussianRecord& r, int64_t 
   return factor > 0 ? (total[kOpacity] + total[kReflOpacity]) / factor : 0.0f;
 }
 
-// The gradients of one needle's geometry, in float64: they need its digits.
+// Writes the gradients of one needle's geometry, which need the precision of float64.
 void needle_backward(const GaussianInputs& in, int64_t i, const float total[kPairFields], float v_compensation,
                      const GaussianGradients& v) {
   double mean[3], quat[4], scale[3], v_mean[3] = {}, v_quat[4] = {}, v_scale[3] = {};
@@ -163,8 +164,8 @@ void needle_backward(const GaussianInputs& in, int64_t i, const float total[kPai
   v.means2d[2 * i] = float(g.x), v.means2d[2 * i + 1] = float(g.y);
 }
 
-// From the sums over the pairs of `count` splats (the other lanes repeat one of them) to their gradients.
-// sums: [lanes, kPairFields], used up.
+// Converts the sums over the pairs of `count` splats to their gradients. The other lanes repeat one of these splats.
+// sums: [lanes, kPairFields], overwritten.
 void splats_backward(const GaussianInputs& in, const GaussianState& state, const int64_t splats[Floats::kCount], int count,
                      float sums[Floats::kCount][kPairFields], const GaussianGradients& v) {
   float v_compensation[Floats::kCount] = {};
@@ -193,7 +194,7 @@ void splats_backward(const GaussianInputs& in, const GaussianState& state, const
   }
 }
 
-// From the pairs' gradients to those of the splats.
+// Sums the gradients of the pairs, and converts them to gradients of the splats.
 void reduce_pairs(const GaussianInputs& in, const GaussianState& state, const GaussianGradients& v) {
   parallel_chunks(in.count, kSplatChunk, [&](int64_t begin, int64_t end) {
     int64_t splats[Floats::kCount];

@@ -1,5 +1,6 @@
-// From the 3D branch's parameters to its splats on the image, and from sums over their tiles back to gradients of the
-// parameters. One thread, one splat.
+// The projection of the 3D branch's splats to the image, and the gradients of the parameters, given the sums over the
+// tiles.
+// One thread per splat.
 #pragma once
 
 #include "kernels/common/tiles_cuda.h"
@@ -23,23 +24,23 @@ struct GaussianSplats {
   Camera<float> camera;
   int width, height;
   float near, low_pass;                       // camera units; px^2
-  int compensate;                             // whether to take back the energy that the low-pass adds
+  int compensate;                             // whether to undo the energy that the low-pass adds
 };
 
 struct GaussianProjectParams {
   GaussianSplats in;
-  GaussianRecord* records;    // [N], set where a splat is visible
+  GaussianRecord* records;    // [N], set only for visible splats
   SplatOutline* outlines;   // [N], likewise
-  float* depths;            // [N] of the centres, kCulledDepth where a splat was culled
+  float* depths;            // [N] of the centres, kCulledDepth for culled splats
   int* tile_counts;         // [N]
-  float* radii;             // [N] pixels, 0 where culled
+  float* radii;             // [N] pixels, 0 for culled splats
 };
 
 struct GaussianGradientParams {
   GaussianSplats in;
   const GaussianRecord* records;
   const float* radii;
-  const float* sums;        // [N, kPairFields], where a tile was touched
+  const float* sums;        // [N, kPairFields], set only for splats that touch a tile
   const int* tile_counts;
   float *means, *quats, *scales, *opacities, *colors, *refl_opacities, *refl_colors, *weights, *means2d;  // outputs
 };
@@ -49,7 +50,7 @@ __device__ inline bool finite_light(const GaussianSplats& in, int64_t i) {
   return !in.refl_colors || (finite(in.refl_colors + 3 * i, 3) && finite(in.weights + i, 1));
 }
 
-// The whole and the fractional part of a centre's coordinate.
+// Splits a centre's coordinate into its whole and its fractional part.
 __device__ inline void split(double x, int16_t& whole, float& rest) {
   const double low = floor(x), held = low < -32768.0 ? -32768.0 : low > 32767.0 ? 32767.0 : low;
   whole = int16_t(held), rest = float(x - held);
@@ -62,11 +63,12 @@ __device__ inline void split(TwoFloats x, int16_t& whole, float& rest) {
   whole = int16_t(held), rest = (x.high - held) + x.low;
 }
 
-// A splat on the image, or why it is not there.
+// Whether a splat is visible, invisible, or must be projected again in float64.
 enum class Sight { kSeen, kUnseen, kUnsure };
 
-// Whether two floats each keep float's digits in all that a record takes from a projection, and decide as float64 does: no
-// number near the end of their range, no splat some thousand times longer than wide, and none at a limit.
+// Whether a projection in two floats is precise enough: the record then has the precision of float, and decisions are
+// those of float64. This excludes numbers near the end of the range, splats thousands of times longer than wide, and
+// splats at a threshold.
 __device__ inline bool sure(const GaussianSplats& in, int64_t i, const ProjectedGaussian<TwoFloats>& g, float det) {
   const float cxx = g.cxx.high, cyy = g.cyy.high, near_gap = g.depth.high - in.near;
   if (!(cxx > 1e-6f && cyy > 1e-6f && cxx + cyy < 0.999e12f)) return false;
@@ -74,7 +76,8 @@ __device__ inline bool sure(const GaussianSplats& in, int64_t i, const Projected
   if (!(det > 2e-6f * cxx * cyy && reach < 1e9f)) return false;
   if (!(fabsf(near_gap) > 1e-6f * (fabsf(in.near) + fabsf(g.depth.high)))) return false;
   if (!in.compensate) return true;
-  // The compensation's square is a determinant without the low-pass, which may be thinner still, over this one.
+  // The compensation's square is the ratio of the determinant without the low-pass, which may be even smaller, to this
+  // one.
   const float opacity = fmaxf(in.opacities[i], in.refl_opacities ? in.refl_opacities[i] : 0.0f);
   const float kept2 = g.compensation.high * g.compensation.high, spread = cxx * cyy / det;
   if (sqrtf(kept2 + 1e-12f * spread) * opacity < 0.999f * kMinAlpha) return true;
@@ -82,7 +85,7 @@ __device__ inline bool sure(const GaussianSplats& in, int64_t i, const Projected
 }
 __device__ inline bool sure(const GaussianSplats&, int64_t, const ProjectedGaussian<double>&, float) { return true; }
 
-// Fills a splat's record and outline, where it is seen: it can be, and is finite.
+// Fills the record and the outline of a splat if it is visible and finite.
 template <class T>
 __device__ inline Sight project_as(const GaussianSplats& in, int64_t i, GaussianRecord& record, SplatOutline& outline) {
   T mean[3], quat[4], scale[3], root[3];
@@ -96,7 +99,7 @@ __device__ inline Sight project_as(const GaussianSplats& in, int64_t i, Gaussian
   record.opacity = in.opacities[i] * left;
   record.refl_opacity = in.refl_opacities ? in.refl_opacities[i] * left : 0.0f;
   const float strongest = fmaxf(record.opacity, record.refl_opacity);
-  // In this form also false for a NaN.
+  // In this form, NaN also makes a splat invisible.
   if (!(strongest >= kMinAlpha && strongest <= 1e6f && record.opacity >= 0 && record.refl_opacity >= 0)) return Sight::kUnseen;
   if (!finite_light(in, i)) return Sight::kUnseen;
   split(g.x, record.x, record.x_rest), split(g.y, record.y, record.y_rest);
@@ -110,16 +113,16 @@ __device__ inline Sight project_as(const GaussianSplats& in, int64_t i, Gaussian
   return Sight::kSeen;
 }
 
-// Fills a splat's record and outline; false when it can't be seen or isn't finite. The CPU computes this in float64, because
-// the rounding error of float32 flips thousands of decisions (see projection_cpu.h). Float64 is slow on most cards. Two
-// floats are as precise for most splats; the few others are computed again in float64.
+// Fills the record and the outline of a splat. Returns false if it is invisible or not finite. The CPU projects in
+// float64, because the rounding error of float32 flips thousands of decisions (see projection_cpu.h). Float64 is slow
+// on most GPUs, and two floats are precise enough for most splats. The few others are projected again in float64.
 __device__ inline bool project_gaussian_splat(const GaussianSplats& in, int64_t i, GaussianRecord& record, SplatOutline& outline) {
   Sight sight = project_as<TwoFloats>(in, i, record, outline);
   if (sight == Sight::kUnsure) sight = project_as<double>(in, i, record, outline);
   return sight == Sight::kSeen;
 }
 
-// Adds the gradients that need no projection; returns the gradient of the compensation, 0 without compensation.
+// Writes the gradients that need no projection. Returns the gradient of the compensation, 0 without compensation.
 __device__ inline float light_gradients(const GaussianGradientParams& p, int64_t i, const float* total) {
   const GaussianSplats& in = p.in;
   // The exponent's and the opacity's gradients differ by the factor o; alpha = (o * compensation) * G.

@@ -1,6 +1,6 @@
-// Spherical harmonics to colour on the GPU. A block takes 64 splats: their rows of coefficients pass through shared memory,
-// so that global memory is read and written in whole lines, while a thread works on its own splat. Nothing is summed
-// between splats.
+// The colours of spherical harmonics on the GPU. A block takes 64 splats. Their rows of coefficients pass through
+// shared memory, so that global memory is accessed in whole lines although each thread works on its own splat. No sums
+// over splats are needed.
 #include "kernels/common/cuda.h"
 #include "math/harmonics.h"
 
@@ -20,7 +20,8 @@ struct HarmonicsParams {
   float* v_means;       // [n, 3], added to; or null
 };
 
-// A splat's row in shared memory: one float longer than it need be, so that neighbouring threads use different banks.
+// The stride of a splat's row in shared memory: one float more than needed, so that neighbouring threads use different
+// banks.
 constexpr int kRowStride = kMostFloats + 1;
 using HarmonicsRows = float[kHarmonicsThreads * kRowStride];
 
@@ -40,7 +41,7 @@ __device__ inline void store_rows(const HarmonicsParams& p, int64_t first, const
   for (int i = threadIdx.x; i < total; i += kHarmonicsThreads) p.v_coeffs[first * floats + i] = rows[i / floats * kRowStride + i % floats];
 }
 
-// Unit vector from the camera to a splat; returns the inverse length.
+// Writes the unit vector from the camera to a splat, and returns the inverse length.
 __device__ inline float direction(const HarmonicsParams& p, int64_t splat, float u[3]) {
   for (int c = 0; c < 3; ++c) u[c] = p.means[3 * splat + c] - p.center[c];
   const float inverse = inverse_length(u[0], u[1], u[2]);

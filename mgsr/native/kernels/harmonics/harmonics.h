@@ -1,4 +1,4 @@
-// The spherical harmonics family: what its kernels read and write.
+// The interface of the spherical harmonics kernels on the CPU.
 #pragma once
 
 #include <cstdint>
@@ -8,7 +8,7 @@ namespace mgsr {
 struct HarmonicsParams {
   int64_t n = 0;      // splats
   int k = 1;          // coefficients stored per channel: 1, 4, 9 or 16
-  int degree = 0;     // of the bands in use
+  int degree = 0;     // highest band in use
   const float* coeffs = nullptr;  // [n, k, 3]
   const float* means = nullptr;   // [n, 3]
   float center[3] = {};           // of the camera

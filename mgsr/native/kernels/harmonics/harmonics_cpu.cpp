@@ -1,5 +1,6 @@
-// Spherical harmonics to colour. One vector lane is one splat: kWidth rows of coefficients are transposed in
-// registers on the way in, and their gradients on the way out. Each splat's gradients are its own: nothing is summed.
+// The colours of spherical harmonics on the CPU. Each vector lane is a splat. kWidth rows of coefficients are
+// transposed in registers when they are read, and their gradients when they are written. No sums over splats are
+// needed.
 #include "kernels/harmonics/harmonics.h"
 
 #include "kernels/common/parallel.h"
@@ -13,7 +14,7 @@ namespace {
 constexpr int64_t kChunk = 512;
 constexpr int kMaxFloats = 48;
 
-// Swaps the off-diagonal blocks of size Step. A template, so that the shuffles have constant patterns.
+// Swaps the off-diagonal blocks of size Step. This is a template, so that the shuffles have constant patterns.
 template <int Step>
 inline void swap_blocks(vfloat* rows) {
   vint low = {}, high = {};
@@ -30,7 +31,7 @@ inline void swap_blocks(vfloat* rows) {
   }
 }
 
-// rows[i][j] becomes rows[j][i], by blocks of 1, 2, 4 ... lanes.
+// Transposes a square matrix, by blocks of 1, 2, 4 ... lanes.
 inline void transpose(vfloat* data) {
   vfloat rows[kWidth];
 #pragma GCC unroll 16
@@ -43,7 +44,8 @@ inline void transpose(vfloat* data) {
   for (int i = 0; i < kWidth; ++i) data[i] = rows[i];
 }
 
-// kWidth rows of `stride` floats from row `first`, turned to columns[stride rounded up][lane]. Rows past n repeat the last.
+// Loads kWidth rows of `stride` floats from row `first` on, transposed to columns [stride rounded up][lane]. Rows past
+// n repeat the last one.
 inline void load_columns(const float* data, int64_t first, int64_t n, int stride, int used, vfloat* columns) {
   for (int j = 0; j < used; j += kWidth) {
     for (int i = 0; i < kWidth; ++i) {
@@ -87,7 +89,7 @@ inline void store_triples(float* data, int64_t first, int64_t n, const vfloat va
     for (int c = 0; c < 3; ++c) data[3 * (first + i) + c] = values[c][i];
 }
 
-// Unit vectors from the camera to the splats; returns the inverse lengths.
+// Writes the unit vectors from the camera to the splats, and returns the inverse lengths.
 inline vfloat load_directions(const HarmonicsParams& p, int64_t first, vfloat u[3]) {
   load_triples(p.means, first, p.n, u);
   vfloat inverse;

@@ -1,6 +1,7 @@
-// Normals of a depth map and their gradient. A task is a band of rows. Backward gathers: the derivatives of a row's
-// normals by their left, right, upper and lower depths are kept for three rows, and a depth's gradient adds up the four
-// that name it; the rows just outside a band are computed by both neighbours, so nothing is scattered or shared.
+// The normals of a depth map, and their gradient. A task is a band of rows. Backward gathers instead of scattering. For
+// three rows it keeps the derivatives of the normals with respect to their left, right, upper and lower depths. The
+// gradient of a depth is the sum of the four derivatives with respect to it. Both adjacent bands compute the rows just
+// outside them, so tasks share nothing.
 #pragma once
 
 #include <algorithm>
@@ -17,7 +18,8 @@ namespace {
 
 constexpr int kNormalBandRows = 32;
 
-// Camera numbers as locals of a row's loop: read through the parameters they would be loaded again at each pixel.
+// The camera's numbers as locals of a row's loop. Read through the parameters, they would be loaded again at each
+// pixel.
 struct RowCamera {
   RowCamera(const DepthNormalsParams& p, int y)
       : fx(p.fx), fy(p.fy), per_pixel(1 / p.fx), offset((0.5f - p.cx) / p.fx), ry((float(y) + 0.5f - p.cy) / p.fy) {
@@ -28,7 +30,8 @@ struct RowCamera {
   float fx, fy, per_pixel, offset, ry, R[9];
 };
 
-// Depths around (x, y); all 1 where one of them, or the pixel's own, is not a depth. Returns whether all are.
+// Writes the depths around (x, y), or 1 for all of them if one of them or the pixel's own is not a valid depth. Returns
+// whether all are valid.
 inline bool neighbours(const float* row, int width, int x, DepthNeighbours<float>& d) {
   d = {row[x - 1], row[x + 1], row[x - width], row[x + width]};
   const bool valid = (row[x] > 0) & (d.left > 0) & (d.right > 0) & (d.up > 0) & (d.down > 0);
@@ -54,7 +57,7 @@ void normals_row(const DepthNormalsParams& p, int y) {
   }
 }
 
-// Derivatives by the neighbours of one row's pixels: four rows of `width`.
+// The derivatives with respect to the neighbours of one row's pixels: four rows of `width`.
 struct NeighbourRows {
   float *left, *right, *up, *down;
 };

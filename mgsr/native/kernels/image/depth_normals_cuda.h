@@ -1,5 +1,5 @@
-// Normals of a depth map and their gradient. A thread is a pixel; backward gathers: a depth's gradient adds up what the
-// normals of its four neighbours say of it.
+// The normals of a depth map, and their gradient. A thread is a pixel. Backward gathers: the gradient of a depth is the
+// sum of the contributions of the normals at its four neighbours.
 #pragma once
 
 #include "kernels/common/sums_cuda.h"
@@ -19,15 +19,15 @@ struct DepthNormalsParams {
   float* v_depth;            // [height, width], overwritten by backward
 };
 
-// The mean over the covered pixels of 1 - n . n_depth: the normals of the depth are written, each as long as alpha times
-// covered, the depth's gradient by v_normals = n where there is room for it, and the sums.
+// The mean over the covered pixels of 1 - n . n_depth. The kernel writes the sums and the normals of the depth, whose
+// length is alpha times covered. If v_depth is given, it also writes the gradient of the depth for v_normals = n.
 struct AgreementParams {
   DepthNormalsParams of_depth;
   const float* normal;  // [height, width, 3]
   PartialSums* sums;    // [blocks]
 };
 
-// The depths around a pixel; false where one of them, or its own, is not a depth, and at the image's border.
+// Writes the depths around a pixel. Returns false at the image's border, and if one of them or its own is not valid.
 __device__ inline bool neighbours(const DepthNormalsParams& p, int x, int y, DepthNeighbours<float>& d) {
   if (x < 1 || y < 1 || x >= p.width - 1 || y >= p.height - 1) return false;
   const float* at = p.depth + int64_t(y) * p.width + x;
@@ -55,7 +55,7 @@ __device__ inline void write_normal(const DepthNormalsParams& p, int x, int y) {
   for (int k = 0; k < 3; ++k) p.normals[3 * i + k] = scale * (R[3 * k] * n[0] + R[3 * k + 1] * n[1] + R[3 * k + 2] * n[2]);
 }
 
-// What the normal at a pixel says of its neighbours' depths; zero where it has none.
+// Returns the contribution of a pixel's normal to the gradients of its neighbours' depths; zero if it has no normal.
 __device__ inline DepthNeighbours<float> neighbour_gradients(const DepthNormalsParams& p, int x, int y) {
   DepthNeighbours<float> d;
   if (!neighbours(p, x, y, d)) return {0.0f, 0.0f, 0.0f, 0.0f};

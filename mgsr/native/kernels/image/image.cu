@@ -1,5 +1,5 @@
-// The image family on the GPU: the render loss, total variation, normals of depth maps and how well others agree with
-// them; each file says how it goes.
+// The image family on the GPU: the render loss, total variation, the normals of depth maps, and their agreement with
+// other normals. The headers describe the kernels.
 #include "kernels/image/depth_normals_cuda.h"
 #include "kernels/image/loss_cuda.h"
 #include "kernels/common/sums_cuda.h"

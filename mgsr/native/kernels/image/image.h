@@ -1,4 +1,4 @@
-// The image family: what its kernels read and write. Images are [height, width, channels], interleaved.
+// The interface of the image kernels on the CPU. Images are [height, width, channels], interleaved.
 #pragma once
 
 #include <cstdint>
@@ -16,10 +16,10 @@ struct ImageLossParams {
   const float* target = nullptr;  // [height, width, 3]
   const float* mask = nullptr;    // [height, width] weights, or null for 1 everywhere
   float l1_weight = 0;
-  bool clip = false;              // count what is over 1 in the image as 1, with no gradient
+  bool clip = false;              // whether image values above 1 count as 1, without gradient
   Region region = {};             // outside, image and target are equal
   float* v_image = nullptr;       // [height, width, 3], written inside the region; or null
-  float* v_target = nullptr;      // the same; only beside v_image
+  float* v_target = nullptr;      // the same; requires v_image
 };
 
 // Sums over the image; the loss is total / weight, and the gradients are those of total.

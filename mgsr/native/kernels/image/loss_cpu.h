@@ -1,10 +1,10 @@
-// Fused L1 + SSIM with its gradient. The region is cut into tiles; a tile runs down its rows once, and each input row
-// goes through five steps that follow each other at a distance of five rows:
+// Fused L1 + SSIM with its gradient. The region is cut into tiles. Each tile is processed once from top to bottom, and
+// each input row goes through steps that follow each other at a distance of five rows:
 //   input row -> moments filtered along the row -> filtered down the column, SSIM and its derivatives (the map row)
 //   -> derivatives filtered along the row -> filtered down the column: the gradient row.
-// The rows in between live in two rings of 16, small enough for the second-level cache. Pixels stay interleaved: a tap
-// to the right is 3 floats further. Tiles depend on the region alone and their sums are added in order, so that the
-// result is the same bytes for any thread count.
+// Two rings of 16 rows hold the intermediate rows, and fit the second-level cache. Pixels stay interleaved, so the next
+// pixel is 3 floats further. Tiles depend only on the region, and their sums are added in order, so any number of
+// threads gives the same bytes.
 #pragma once
 
 #include <algorithm>
@@ -26,7 +26,7 @@ constexpr int kMoments = 4;  // a, b, a^2 + b^2, a b
 
 constexpr float tap(int j) { return kSsimTaps[j <= kRadius ? j : 2 * kRadius - j]; }
 
-// Two neighbouring rows at once: 12 loads where one after the other takes 22.
+// Filters two neighbouring rows at once, with 12 loads instead of 22.
 inline void filter_down(const float* const* rows, int i, vfloat out[2]) {
   vfloat first = kSsimTaps[0] * load(rows[0] + i), second = kSsimTaps[0] * load(rows[kTaps] + i);
 #pragma GCC unroll 10
@@ -47,7 +47,8 @@ inline void filter_along(const float* in, float* out, int floats) {
   }
 }
 
-// 16 rows of `channels` buffers; row y replaces row y - 16. A window is what filter_down reads for rows y and y + 1.
+// 16 rows of `channels` buffers; row y replaces row y - 16. A window consists of the rows that filter_down reads for
+// the rows y and y + 1.
 struct Ring {
   float* base;
   int channels, stride;
@@ -58,12 +59,12 @@ struct Ring {
   void clear(int y) const { std::fill_n(row(y, 0), channels * stride, 0.0f); }
 };
 
-// Derivs: derivative maps carried to the gradient: 0 none, 3 for the image, 4 for the target too.
+// Derivs: the number of derivative maps for the gradient: 0 for none, 3 for the image, 4 for the target too.
 template <int Derivs>
 class LossTile {
  public:
-  // tile: where the gradient is written. counted: where SSIM is summed; it reaches up to 5 pixels past the region's edge.
-  // maps: where SSIM can differ from 1.
+  // tile: the region in which the gradient is written. counted: the region over which SSIM is summed, which extends up
+  // to 5 pixels past the edge. maps: the region in which SSIM can differ from 1.
   LossTile(const ImageLossParams& p, const Region& tile, const Region& counted, const Region& maps)
       : p_(p), tile_(tile), counted_(counted), maps_(maps), columns_(tile.x1 - tile.x0) {
     stride_ = (3 * (columns_ + 4 * kRadius) + 2 * kWidth + 15) / 16 * 16;
@@ -79,7 +80,8 @@ class LossTile {
     for (RowBuffers& row : rows_) row = {take(kMoments), take(Derivs), take(1), take(1)};
   }
 
-  // Sum of the weighted losses of the tile. Rows go in pairs; what the last pair has too much is dropped.
+  // Returns the sum of the weighted losses of the tile. Rows are processed in pairs; an excess row at the end is
+  // dropped.
   double run() {
     for (int y = tile_.y0 - 2 * kRadius; y < tile_.y1 + 2 * kRadius; y += 2) {
       add_moments(y, rows_[0]);
@@ -91,12 +93,12 @@ class LossTile {
   }
 
  private:
-  // Scratch of one row: inputs and their products, derivatives, the mask once a channel, the loss.
+  // The buffers of one row: inputs and their products, derivatives, the mask repeated for each channel, the loss.
   struct RowBuffers {
     float *input, *derivs, *weights, *losses;
   };
 
-  // `columns` pixels of row y from column x on, zero outside the image.
+  // Copies `columns` pixels of row y from column x on, with zeros outside the image.
   void copy_pixels(const float* image, int y, int x, int columns, float* out) const {
     const int begin = std::max(x, 0), end = std::min(x + columns, p_.width);
     if (x < begin || end < x + columns) std::fill_n(out, size_t(columns) * 3, 0.0f);
@@ -104,14 +106,14 @@ class LossTile {
       std::memcpy(out + (begin - x) * 3, image + (int64_t(y) * p_.width + begin) * 3, size_t(end - begin) * 3 * sizeof(float));
   }
 
-  // The image's pixels as they are compared: clipped where that is asked for.
+  // Copies pixels of the image in the form in which they are compared, which may be clipped.
   void copy_image(int y, int x, int columns, float* out) const {
     copy_pixels(p_.image, y, x, columns, out);
     if (!p_.clip) return;
     for (int i = 0; i < 3 * columns; ++i) out[i] = out[i] > 1.0f ? 1.0f : out[i];
   }
 
-  // The weights of `pixels` pixels of row y from column x on; zero outside of `inside`.
+  // Loads the weights of `pixels` pixels of row y from column x on, with zeros outside `inside`.
   void load_weights(int y, int x, int pixels, const Region& inside, float* out) const {
     const bool row_inside = y >= inside.y0 && y < inside.y1;
     const int begin = std::max(x, inside.x0), end = std::min(x + pixels, inside.x1);
@@ -240,7 +242,7 @@ ImageLossSums image_loss(const ImageLossParams& p) {
   ImageLossSums sums;
   sums.weight = weight_sum(p);
   if (r.y0 >= r.y1 || r.x0 >= r.x1) return sums;
-  // Windows reach past the region, so the SSIM map differs from 1 there too.
+  // Windows extend past the region, so the SSIM map differs from 1 there too.
   const Region maps = {std::max(r.y0 - kRadius, 0), std::min(r.y1 + kRadius, p.height), std::max(r.x0 - kRadius, 0),
                        std::min(r.x1 + kRadius, p.width)};
   const int bands = (r.y1 - r.y0 + kTileRows - 1) / kTileRows, strips = (r.x1 - r.x0 + kTileColumns - 1) / kTileColumns;

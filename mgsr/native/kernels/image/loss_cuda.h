@@ -1,7 +1,7 @@
-// Fused L1 + SSIM with its gradient, in two passes. image_loss: a block takes 32x16 pixels, a thread each, one channel after
-// the other: the moments of its windows, filtered along the rows and then down the columns in shared memory, give SSIM and
-// its derivatives by the moments, which go to maps in global memory. image_loss_gradient: the same filter over those maps,
-// which are zero outside, gives the gradient.
+// Fused L1 + SSIM with its gradient, in two passes. In both, a block takes 32x16 pixels, one per thread.
+// image_loss processes one channel after the other. It filters the moments of the windows along the rows and then down
+// the columns, in shared memory. They give SSIM and its derivatives, which it writes to maps in global memory.
+// image_loss_gradient applies the same filter to those maps, which are zero outside, and so finds the gradient.
 #pragma once
 
 #include "kernels/common/sums_cuda.h"
@@ -23,18 +23,18 @@ struct ImageLossParams {
   const float *image, *target;  // [height, width, 3]
   const float* mask;            // [height, width] weights, or null for 1 everywhere
   float l1_weight;
-  int clip;                     // 1: count what is over 1 in the image as 1, with no gradient
+  int clip;                     // 1 if image values above 1 count as 1, without gradient
   Region region;                // outside, image and target are equal
   Region maps;                  // where SSIM can differ from 1: the region and 5 pixels more, inside the image
-  float* derivatives;           // [3 or 4, 3, maps' height, maps' width]: by a, a^2 + b^2, a b and b; or null
+  float* derivatives;           // [3 or 4, 3, maps' height, maps' width] to a, a^2 + b^2, a b and b; or null
   int derivative_count;         // 0 without derivatives, 3 for the image's gradient, 4 for the target's too
   PartialSums* sums;            // [blocks]
   float *v_image, *v_target;    // [height, width, 3], written inside the region; or null
 };
 
-// The pixel of a thread, on the image: blocks cover a region in rows.
+// The pixel of a thread in the image. Blocks cover a region row by row.
 struct LossPixel {
-  int x0, y0, x, y;  // of the block's corner, and its own
+  int x0, y0, x, y;  // the block's corner, and the pixel
 
   __device__ explicit LossPixel(const Region& region) {
     const int across = (region.x1 - region.x0 + kLossWidth - 1) / kLossWidth;
@@ -46,7 +46,7 @@ struct LossPixel {
 
 __device__ inline float ssim_tap(int j) { return kSsimTaps[j <= kSsimRadius ? j : 2 * kSsimRadius - j]; }
 
-// Planes for filtering: rows of the halo filtered along, to be filtered down.
+// The rows of the halo after the filter along the rows.
 template <int Planes>
 struct FilteredRows {
   float values[Planes][kHaloHeight][kLossWidth];
@@ -59,7 +59,7 @@ struct FilteredRows {
   }
 };
 
-// A channel's moments filtered along the rows. halo: [2, kHaloHeight, kHaloWidth] of the image and the target.
+// Filters a channel's moments along the rows. halo: [2, kHaloHeight, kHaloWidth] of the image and the target.
 __device__ inline void filter_moments(const float (*halo)[kHaloHeight][kHaloWidth], FilteredRows<kMoments>& rows) {
   for (int i = threadIdx.x; i < kHaloHeight * kLossWidth; i += kLossThreads) {
     const int x = i % kLossWidth, y = i / kLossWidth;
@@ -73,7 +73,7 @@ __device__ inline void filter_moments(const float (*halo)[kHaloHeight][kHaloWidt
   }
 }
 
-// A number of the image as it is compared.
+// Returns a number of the image in the form in which it is compared, which may be clipped.
 __device__ inline float compared(const ImageLossParams& p, int64_t at) {
   const float value = p.image[at];
   return p.clip && value > 1.0f ? 1.0f : value;
@@ -89,13 +89,13 @@ __device__ inline void load_halo(const ImageLossParams& p, const LossPixel& pixe
   }
 }
 
-// Where a derivative's map holds a pixel of a channel.
+// Returns the address of a pixel in the map of one derivative and channel.
 __device__ inline float* map_at(const ImageLossParams& p, int derivative, int channel, int x, int y) {
   const int width = p.maps.x1 - p.maps.x0, height = p.maps.y1 - p.maps.y0;
   return p.derivatives + ((int64_t(derivative) * 3 + channel) * height + (y - p.maps.y0)) * width + (x - p.maps.x0);
 }
 
-// One channel's loss at the thread's pixel, whose derivatives it leaves in the maps.
+// Returns one channel's loss at the thread's pixel, and writes its derivatives to the maps.
 __device__ inline double channel_loss(const ImageLossParams& p, const LossPixel& pixel, int channel, const FilteredRows<kMoments>& rows,
                                       float weight) {
   const SsimMoments<float> m = {rows.down(0), rows.down(1), rows.down(2), rows.down(3)};
@@ -126,7 +126,7 @@ __device__ inline void image_loss(const ImageLossParams& p) {
   write_block_sums(total, 0.0, &p.sums[blockIdx.x]);
 }
 
-// One map around the block, filtered along the rows.
+// Filters one map around the block along the rows.
 __device__ inline void filter_map(const ImageLossParams& p, const LossPixel& pixel, int derivative, int channel,
                                   float (*halo)[kHaloWidth], FilteredRows<1>& rows) {
   for (int i = threadIdx.x; i < kHaloHeight * kHaloWidth; i += kLossThreads) {

@@ -1,4 +1,4 @@
-// What the image kernels share: sums in a fixed order, and cutting a range into parts of nearly equal size.
+// Functions that the image kernels share: sums in a fixed order, and a division into parts of nearly equal size.
 #pragma once
 
 #include "kernels/common/simd.h"

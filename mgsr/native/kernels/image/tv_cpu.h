@@ -1,5 +1,6 @@
-// Edge-aware total variation with its gradient. A band of rows is one task. It keeps the flux (the derivative of each pair)
-// of the row above, so a pixel's gradient is the difference of four fluxes. The sums of the bands are added in order.
+// Edge-aware total variation with its gradient. A band of rows is one task. It keeps the flux (the derivative of each
+// pair) of the row above, so a pixel's gradient is the difference of four fluxes. The sums of the bands are added in
+// order.
 #pragma once
 
 #include <algorithm>
@@ -47,7 +48,8 @@ class TvBand {
   const float* guide(int y) const { return p_.guide + int64_t(y) * p_.width * 3; }
   const float* mask(int y) const { return p_.mask ? p_.mask + int64_t(y) * p_.width : nullptr; }
 
-  // weights_: of `pairs` pairs of pixels, given where the first and the second of each lie; expanded to all channels.
+  // Finds weights_ of `pairs` pairs of pixels, repeated for all channels. The arguments give the first and the second
+  // pixel of each pair.
   void find_weights(const float* g0, const float* g1, const float* m0, const float* m1, int pairs, bool counted) {
     for (int i = 0; i < 3 * pairs; ++i) gaps_[i] = std::fabs(g1[i] - g0[i]);
     float* weights = p_.channels == 1 ? weights_ : terms_;
@@ -74,7 +76,8 @@ class TvBand {
     if (counted) sums_.total += sum_floats(terms_, n);
   }
 
-  // across_: zeros for the pair left of the first pixel, the row's pairs, zeros for the pair right of the last.
+  // Fills across_: zeros for the pair left of the first pixel, the row's pairs, zeros for the pair right of the last
+  // one.
   void pairs_across(int y) {
     const int channels = p_.channels, pairs = p_.width - 1;
     const float *g = guide(y), *v = values(y), *m = mask(y);

@@ -1,5 +1,5 @@
-// Edge-aware total variation with its gradient. A thread is a pixel: it counts the pairs to its right and below, and its
-// gradient is the difference of the fluxes (the derivative of each pair) of its four pairs, so that nothing is scattered.
+// Edge-aware total variation with its gradient. A thread is a pixel, and sums the pairs to its right and below. Its
+// gradient is the difference of the fluxes (the derivatives) of its four pairs, so that nothing is scattered.
 #pragma once
 
 #include "kernels/common/sums_cuda.h"
@@ -18,7 +18,7 @@ struct TvParams {
   PartialSums* sums;    // [blocks]
 };
 
-// A pair of pixels, from the second one's place relative to the first: whether there is one, and what the pair counts.
+// A pair of pixels, given the second one's place relative to the first: whether it exists, and its weight.
 struct TvPair {
   bool exists;
   float mask, weight;

@@ -1,5 +1,5 @@
-// What is made of rendered images before they are compared: reflected light added, and a flash let fall on them. A thread
-// is a pixel; the gradients of a pixel are its own.
+// Adds reflected light to rendered images, and lights them by a flash, before they are compared. A thread is a pixel,
+// and its gradients depend on no other pixel.
 #include "kernels/common/cuda.h"
 
 namespace mgsr {
@@ -17,8 +17,8 @@ struct ReflectionParams {
 struct ReflectionVjpParams {
   int64_t pixels;
   const float *v_color, *reflected, *weight;
-  const float *add_transmitted, *add_weight, *add_own;         // what else is said of each, or null
-  float *v_transmitted, *v_weight, *v_own, *v_mirrored;  // [pixels, 3] but for the weight
+  const float *add_transmitted, *add_weight, *add_own;         // further gradients to add to each, or null
+  float *v_transmitted, *v_weight, *v_own, *v_mirrored;  // [pixels, 3], but [pixels] for the weight
 };
 
 // image = unlit + (shading - 1) * (unlit + alpha * (background + offset) - background).

@@ -1,4 +1,4 @@
-// What densification gathers of each splat in a rendering, in one launch. One thread, one splat.
+// Gathers the statistics of densification after a rendering, in one launch with one thread per splat.
 #include "kernels/common/cuda.h"
 
 namespace mgsr {
@@ -8,9 +8,9 @@ constexpr int kStatisticsThreads = 256;
 struct StatisticsParams {
   int64_t count;
   const float* v_means2d;  // [count, 2] per pixel
-  const float* radii;      // [count] pixels, 0 where a splat was culled
-  float scale_x, scale_y;  // pixels to the unit of the sums
-  const bool* bad;         // whether v_means2d counts as zero; or null for no
+  const float* radii;      // [count] pixels, 0 for culled splats
+  float scale_x, scale_y;  // pixels per unit of the sums
+  const bool* bad;         // whether v_means2d counts as zero; null means it does not
   float* gradient_sum;     // [count], added to
   float* seen;             // [count], added to
 };

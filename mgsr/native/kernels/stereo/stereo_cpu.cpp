@@ -1,8 +1,8 @@
-// PatchMatch stereo (Barnes and others 2009; Bleyer and others 2011) with normalised cross-correlation.
+// PatchMatch stereo (Barnes et al. 2009; Bleyer et al. 2011) with normalised cross-correlation.
 //
-// Each pixel holds a plane. Pixels take over planes of pixels beside them that fit better, and try planes that differ a
-// little from their own. Pixels of one colour of a checkerboard are updated from those of the other alone, so that rows
-// may be worked on in any order, on any number of threads, with the same result.
+// Each pixel holds a plane. Pixels take over better planes of pixels beside them, and try planes that differ a little
+// from their own. Pixels of one colour of a checkerboard read only pixels of the other colour. So rows may be processed
+// in any order, on any number of threads, with the same result.
 #include "kernels/stereo/stereo.h"
 
 #include <algorithm>
@@ -24,14 +24,14 @@ constexpr float kUnseen = -1;         // the score of a neighbour that does not 
 constexpr float kImpossible = -2;     // the score of a plane outside the range, or seen too obliquely
 constexpr float kUntried = -3;
 constexpr float kGrazing = 0.15f;     // the least cosine between a plane's normal and the pixel's ray
-constexpr float kLeastStretch = 0.1f; // the area that a pixel may have in a neighbour, at least and at most
+constexpr float kLeastStretch = 0.1f; // the least and the largest area in pixels of a pixel in a neighbour
 constexpr float kMostStretch = 10;
 constexpr int kMostSamples = 81;
 constexpr int kPadded = (kMostSamples + kWidth - 1) / kWidth * kWidth;
-constexpr int kTogether = kWidth / 4;  // samples whose channels fill a vector
+constexpr int kTogether = kWidth / 4;  // number of samples whose channels fill a vector
 constexpr int kRandomStarts = 4;
-constexpr int kRows = 4;              // rows of pixels in a piece of work
-// How far the planes lie that a pixel tries: odd steps, to the checkerboard's other colour.
+constexpr int kRows = 4;              // rows of pixels per task
+// The offsets of the pixels whose planes a pixel tries. They are odd, so those pixels have the other colour.
 constexpr int kSteps[8][2] = {{1, 0}, {-1, 0}, {0, 1}, {0, -1}, {3, 0}, {-3, 0}, {0, 3}, {0, -3}};
 
 inline uint32_t mix(uint32_t x) {
@@ -68,7 +68,7 @@ inline Rgba pixel(const StereoView& view, int x, int y) {
   return value;
 }
 
-// Bilinear, between pixel centres at +0.5; the place must lie between four of them.
+// Interpolates bilinearly between pixel centres at +0.5; the place must lie between four of them.
 inline Rgba sample(const StereoView& view, float x, float y) {
   x -= 0.5f, y -= 0.5f;
   const int left = int(x), top = int(y);
@@ -85,8 +85,9 @@ inline RgbaPair pixel_pair(const float* first) {
   return pair;
 }
 
-// kTogether samples side by side, as `sample` gives them. offset: of their left upper pixels' first channels; across and
-// down: from there, 0..1; row: of floats, from a pixel to the one below.
+// Returns kTogether results of `sample` side by side. offset: the first channels of their upper left pixels. across,
+// down:
+// the places relative to those, 0..1. row: floats from a pixel to the one below.
 inline vfloat samples(const float* pixels, int row, const int* offset, const float* across, const float* down) {
   const auto columns = [&](int k) {  // the left one, then the right one
     const RgbaPair upper = pixel_pair(pixels + offset[k]), lower = pixel_pair(pixels + offset[k] + row);
@@ -115,7 +116,7 @@ inline vfloat samples(const float* pixels, int row, const int* offset, const flo
 #endif
 }
 
-// Of samples side by side: each one's alpha in all its channels, and the sum of all.
+// Of samples side by side: the alpha of each sample in all its channels, and the sum of all samples.
 inline vfloat alphas(const vfloat& values) {
   vint places;
   for (int lane = 0; lane < kWidth; ++lane) places[lane] = lane | 3;
@@ -134,8 +135,8 @@ inline bool holds(const StereoView& view, float x, float y, float margin_x, floa
          y + margin_y < float(view.height) - 0.5f;
 }
 
-// The view's samples around one pixel, with their bilateral weights, one for each channel. Up to a multiple of kWidth
-// samples without weight follow.
+// The view's samples around a pixel with their bilateral weights, one per channel. They are padded to a multiple of
+// kWidth by samples without weight.
 struct Patch {
   int count = 0;
   float total = 0;
@@ -168,8 +169,8 @@ void take_patch(const StereoView& view, const StereoSettings& settings, int colu
   std::fill(patch.down + patch.count, patch.down + padded, 0.0f);
 }
 
-// From the view to a neighbour: a ray (x, y, 1) of the view at inverse depth i lies at turned (x, y, 1) + i moved, in
-// the neighbour's homogeneous pixels.
+// The mapping from the view to a neighbour: the ray (x, y, 1) of the view at inverse depth i has the homogeneous pixel
+// coordinates turned (x, y, 1) + i moved in the neighbour.
 struct Neighbour {
   const StereoView* view;
   float turned[9], moved[3];
@@ -198,7 +199,7 @@ Neighbour beside(const StereoView& view, const StereoView& other) {
   return to;
 }
 
-// Where a plane carries the patch's middle in a neighbour, and the steps there of a pixel to the right and one down.
+// The image of a patch in a neighbour by a plane: its middle, and the steps of one pixel to the right and one down.
 struct Warp {
   bool seen = false;
   float x = 0, y = 0, right[2] = {}, down[2] = {};
@@ -223,8 +224,8 @@ Warp warp_by(const Plane& plane, const Neighbour& to, const StereoView& view, fl
   return warp;
 }
 
-// The correlation of a patch with what a neighbour shows on the plane, all three channels together, each without its
-// mean. Perspective is linear over so small a patch.
+// Returns the correlation of a patch with its image in a neighbour, over all three channels, each less its mean.
+// Perspective is taken as linear over so small a patch.
 float correlation(const Patch& patch, const Warp& warp, const StereoView& other, const StereoSettings& settings) {
   const float extent = float(settings.radius) * settings.spacing;
   const float wide = extent * (std::fabs(warp.right[0]) + std::fabs(warp.down[0]));
@@ -267,7 +268,7 @@ float correlation(const Patch& patch, const Warp& warp, const StereoView& other,
 struct Hypothesis {
   Plane plane;
   float score = kUntried;
-  int round = -1;  // that took the plane over; -1 is the beginning
+  int round = -1;  // the round in which the pixel took the plane over; -1 for the start
 };
 
 class Matcher {
@@ -288,7 +289,7 @@ class Matcher {
     write();
   }
 
-  // The start's own planes, without the prior.
+  // Scores the planes of the start, without the prior.
   void judge() {
     std::fill(p_.score, p_.score + found_.size(), kUnseen);
     for_pixels([&](int at, const Patch& patch) {
@@ -300,7 +301,7 @@ class Matcher {
   float ray_x(int at) const { return (float(at % view_.width) + 0.5f - view_.cx) / view_.fx; }
   float ray_y(int at) const { return (float(at / view_.width) + 0.5f - view_.cy) / view_.fy; }
 
-  // body(pixel, patch) for each pixel that shows the object, of one colour of the checkerboard or of both.
+  // Calls body(pixel, patch) for each pixel that shows the object, of one colour of the checkerboard or of both.
   template <class Body>
   void for_pixels(const Body& body, int color = -1) {
     parallel_chunks(view_.height, kRows, [&](int64_t first, int64_t end) {
@@ -319,7 +320,7 @@ class Matcher {
     return plane_through(ray_x(at), ray_y(at), 1 / p_.start_depth[at], p_.start_normal + 3 * size_t(at));
   }
 
-  // The mean correlation with the neighbours that agree best, of those that show the patch. Two must.
+  // Returns the mean correlation with the best agreeing neighbours. At least two neighbours must show the patch.
   float agreement(int at, const Patch& patch, const Plane& plane) const {
     const float x = ray_x(at), y = ray_y(at), inverse = plane.inverse_depth(x, y);
     if (!(inverse * p_.farthest >= 1 && inverse * p_.nearest <= 1)) return kImpossible;
@@ -360,7 +361,7 @@ class Matcher {
     Random random{mix(p_.seed * 7919u + uint32_t(at))};
     const float first = start > 0 ? std::max((1 - settings_.prior_reach / view_.fx) * start, p_.nearest) : p_.nearest;
     for (int k = 0; k < kRandomStarts; ++k) {
-      // More tries near the front, where the surface is more often.
+      // Squaring puts more tries near the front, where the surface is more often.
       const float share = random.next(), depth = first + (p_.farthest - first) * share * share;
       const float known = start > 0 ? random.next() : 0.0f, ray[3] = {x, y, 1};
       float normal[3];
@@ -371,9 +372,9 @@ class Matcher {
     found_[size_t(at)] = best;
   }
 
-  // A plane is offered to a pixel once: scores only rise, so one that lost would lose again. The pixels beside it are
-  // of the other color. Those of color 1 are offered planes that color 0 took over in this round, and those of color 0
-  // planes that color 1 took over in the last.
+  // Offers a pixel the planes of pixels beside it, which have the other colour. A plane is offered only once: scores
+  // only rise, so a plane that lost would lose again. Pixels of colour 1 are offered planes that colour 0 took over in
+  // this round; pixels of colour 0 are offered those that colour 1 took over in the round before.
   void propagate(int at, const Patch& patch, int round) {
     const int column = at % view_.width, row = at / view_.width, since = round - 1 + ((row + column) & 1);
     Hypothesis best = found_[size_t(at)];
@@ -391,7 +392,7 @@ class Matcher {
     found_[size_t(at)] = best;
   }
 
-  // Depth and normal are varied each alone and both together, less in later rounds.
+  // Varies depth and normal, each alone and both together, less in later rounds.
   void refine(int at, const Patch& patch, int round) {
     Random random{mix(p_.seed * 7919u + uint32_t(at) * 31u + uint32_t(round) * 1000003u + 17u)};
     const float far = settings_.search / view_.fx * std::pow(0.5f, float(round)), tilt = 0.5f * std::pow(0.6f, float(round));

@@ -1,10 +1,10 @@
-// The walk back through the 2D branch's blending: from gradient images to a gradient for each (splat, tile) pair.
+// The backward pass of the 2D branch's blending: from gradient images to a gradient for each (splat, tile) pair.
 //
-// It goes front to back too. With q = v_out . (what the splat adds), the gradient to alpha_i is
-// T_i q_i - (everything behind i) / (1 - alpha_i), and "everything behind" is the pixel's total less a running sum: one
-// scalar however many outputs there are. A splat's footprint depends on nine numbers (centre, L, g, depth); over the
-// pixels their gradients need nine sums, since L enters only by its product with three second moments (record.h). With opacity,
-// colour and normal a pair has 16 sums.
+// It also goes front to back. With q = v_out . (the splat's outputs), the gradient of alpha_i is
+// T_i q_i - (sum over all splats behind i) / (1 - alpha_i). That sum is the pixel's total less a running sum, so it is
+// one scalar for any number of outputs. A splat's footprint depends on nine numbers (centre, L, g, depth). Their
+// gradients need nine sums over the pixels, since L enters only by its product with three second moments (record.h).
+// With opacity, colour and normal, a pair has 16 sums.
 #pragma once
 
 #include "kernels/common/pairs.h"
@@ -14,11 +14,11 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-// The gradient images at a sub-tile's pixels, made ready for the walk.
+// The gradient images at a sub-tile's pixels, prepared for the walk.
 struct PixelGradients {
   struct Fields {
     float color[3][16], normal[3][16], depth[16], median[16], m1[16], m2[16];
-    float behind[16];  // what the walk will have added up by its end, and what lies behind the last splat
+    float behind[16];  // the pixel's totals: the sum over all splats, and the background behind the last one
   } f = {};
 
   PixelGradients(const SurfelInputs& in, const SurfelState& state, const SurfelImages& out, const SurfelImages& v, int x0,
@@ -48,7 +48,7 @@ struct PixelGradients {
   }
 };
 
-// What the walk finds for one splat.
+// The result of the walk for one splat.
 struct Step {
   vfloat opacity[kVectors], depth[kVectors];  // gradients of opacity and depth, times opacity and depth
   vfloat share[kVectors];                     // alpha T
@@ -73,7 +73,7 @@ inline void walk_vector(const Batch& batch, int v, const PixelGradients::Fields&
     }
     behind -= w * q;
     const vfloat v_alpha = T * q - behind * reciprocal(1.0f - alpha);
-    // Zero where alpha is held at its maximum, and where it is 0.
+    // The gradient is zero where alpha is clamped to its maximum, and where it is 0.
     steps[e].opacity[v] = keep(alpha < kMaxAlpha, v_alpha * alpha);
     steps[e].depth[v] = v_z * z;
     steps[e].share[v] = w;
@@ -81,7 +81,8 @@ inline void walk_vector(const Batch& batch, int v, const PixelGradients::Fields&
   behind_them = behind;
 }
 
-// sums: [kPairFields] of the sub-tile's pixels, lane by lane. Needle: as the record says, of a splat that is not plain.
+// Writes the sums [kPairFields] over the sub-tile's pixels, lane by lane. Needle: whether the splat is a needle
+// (record.h); needles are never plain.
 template <bool Plain, bool Needle>
 inline void gather(const Batch& batch, int e, const Step& step, const Pixels& pixels, const PixelGradients::Fields& g,
                    float low_pass, vfloat sums[kPairFields]) {
@@ -91,7 +92,7 @@ inline void gather(const Batch& batch, int e, const Step& step, const Pixels& pi
   for (int k = 0; k < kPairFields; ++k) sums[k] = vfloat{};
   for (int n = 0; n < kVectors; ++n) {
     const vfloat dy = pixels.y[n] + (pixels.y0 - s.y), scaled = (2.0f * kLn2) * step.opacity[n], r = batch.r[e][n];
-    // Of w, and of the disk's exponent times 1/w^2, whose moments give L's gradient.
+    // The gradients of w, and of the disk's exponent times 1/w^2; the moments of the latter give L's gradient.
     vfloat v_w = (scaled * batch.exponent[e][n] - step.depth[n]) * r, v_second = scaled * (r * r);
     if (!Plain) {
       v_second = keep(batch.on_disk[e][n], v_second), v_w = keep(batch.on_disk[e][n], v_w);
@@ -120,13 +121,13 @@ inline void gather(const Batch& batch, int e, const Step& step, const Pixels& pi
   if (Plain) {
     sums[kMeanX] = second_x, sums[kMeanY] = second_y, sums[kW] = w;
   } else {
-    // Moving the centre moves every d the other way.
+    // A shift of the centre shifts every d in the opposite direction.
     sums[kMeanX] = blur * dx + s.L[0] * second_a + s.L[2] * second_b - s.g[0] * w;
     sums[kMeanY] = blur_y + s.L[1] * second_a + s.L[3] * second_b - s.g[1] * w;
   }
 }
 
-// pairs: [tile's entries, kPairFields] gets each pair's sums added.
+// Adds each pair's sums to pairs [tile's entries, kPairFields].
 template <bool Distortion>
 void backward_subtile(const SurfelInputs& in, const SurfelState& state, const PixelGradients::Fields& g,
                       const SubTileLists& sub, int s, const Pixels& pixels, float* pairs) {

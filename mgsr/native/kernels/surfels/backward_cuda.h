@@ -1,8 +1,8 @@
-// The walk back through the 2D branch's blending: from gradient images to a gradient for each (splat, tile) pair.
+// The backward pass of the 2D branch's blending: from gradient images to a gradient for each (splat, tile) pair.
 //
-// With q = v_out . (what the splat adds), the gradient to alpha_i is T_i q_i - (everything behind i) / (1 - alpha_i), and
-// "everything behind" is the pixel's total less a running sum: one scalar however many outputs there are. A splat's
-// footprint depends on nine numbers (centre, L, g, depth), whose gradients need nine sums over the pixels.
+// With q = v_out . (the splat's outputs), the gradient of alpha_i is T_i q_i - (sum over all splats behind i) /
+// (1 - alpha_i). That sum is the pixel's total less a running sum, so it is one scalar for any number of outputs. A
+// splat's footprint depends on nine numbers (centre, L, g, depth), whose gradients need nine sums over the pixels.
 #pragma once
 
 #include "kernels/common/buckets_cuda.h"
@@ -10,12 +10,12 @@
 
 namespace mgsr {
 
-// What the walk needs of a pixel, [tiles, planes, 256]: the gradients of its images, and what the walk will have added up
-// by its end, with what lies behind the last splat.
+// The inputs of the walk at a pixel, [tiles, planes, 256]: the gradients of its images, and its totals, which are the
+// sums over all splats and the background behind them.
 enum SurfelPixelPlane { kVColor, kVNormal = kVColor + 3, kVDepth = kVNormal + 3, kVMedian, kBehind, kPlainPixelPlanes,
                         kVMoment = kPlainPixelPlanes, kDistortionPixelPlanes = kVMoment + 2 };
 
-// Gradients of images may be null: then they count as zero.
+// Null gradients of images count as zero.
 struct SurfelPixelParams {
   Tiles tiles;
   const float *transmittance, *moments, *color, *depth, *normal;
@@ -29,13 +29,13 @@ struct SurfelBackwardParams {
   const SplatOutline* outlines;
   float near, far, low_pass;
   const float* states;   // of the forward pass
-  int state_planes;      // in them
+  int state_planes;      // number of planes in states
   const int* reached;
   const float* planes;   // of surfels_pixels
   float* pairs;          // [pairs, kPairFields] by slot
 };
 
-// A thread is a pixel of the tile that is its block.
+// A block is a tile, and a thread one of its pixels.
 template <bool Distortion>
 __device__ void prepare_pixel(const SurfelPixelParams& p) {
   const TilePixel pixel(p.tiles, blockIdx.x, threadIdx.x);
@@ -67,14 +67,16 @@ __device__ void prepare_pixel(const SurfelPixelParams& p) {
   out[kBehind * kTilePixels] = total;
 }
 
-// What a pixel says of a splat. share: times the pixel's gradients, those of colour and normal; pull: the exponent's gradient
-// / w^2, times 2 ln 2, 0 where the low-pass rules; v_w: of w.
+// The contribution of a pixel to a splat's gradients. share: times the pixel's gradients it gives those of colour and
+// normal.
+// pull: the exponent's gradient / w^2, times 2 ln 2; 0 where the low-pass decides. v_w: the gradient of w.
 struct alignas(16) SurfelTerms {
   float share, v_exponent, pull, v_w;
 };
 
-// A warp's shared memory. sums: of its splats' fields; terms and the depth's gradient times the depth: of a chunk's
-// splats, by pixel; gradients: of the patch's pixels, colour with the normal's x, and its y and z.
+// A warp's shared memory. sums: the fields of its splats. terms, and the depth's gradient times the depth: the
+// contributions to a chunk's splats, by pixel. gradients: those of the patch's pixels; colour with the normal's x, and
+// its y and z.
 struct SurfelStage {
   SurfelRecord splats[kBucket];
   float4 sums[kBucket][kPairFields / 4];
@@ -84,8 +86,9 @@ struct SurfelStage {
   float2 more_gradients[kWarp];
 };
 
-// A row's sums of a splat: moments over the pixels' offsets (x, y), which are d, but of a needle L d.
-// xx, xy, yy, x, y: of the pull; w_x, w_y, w: of w's gradient; blur: of the exponent's gradient where the low-pass rules.
+// A splat's sums over a row: moments over the pixels' offsets (x, y), which are d, or L d for a needle.
+// xx, xy, yy, x, y: moments of the pull. w_x, w_y, w: moments of w's gradient. blur: moments of the exponent's gradient
+// where the low-pass decides.
 struct SurfelMoments {
   float xx = 0, xy = 0, yy = 0, x = 0, y = 0, w_x = 0, w_y = 0, w = 0, blur_x = 0, blur_y = 0;
 
@@ -101,24 +104,24 @@ struct SurfelMoments {
     fields[kXX] = xx, fields[kXY] = xy, fields[kYY] = yy, fields[kSlopeX] = w_x, fields[kSlopeY] = w_y, fields[kW] = w;
     fields[kMeanX] = x, fields[kMeanY] = y;
     if (s.plain()) return;
-    // Moving the centre moves every d the other way.
+    // A shift of the centre shifts every d in the opposite direction.
     const float a = needle ? x : s.L[0] * x + s.L[1] * y, b = needle ? y : s.L[2] * x + s.L[3] * y;
     fields[kMeanX] = inverse_low_pass * blur_x + s.L[0] * a + s.L[2] * b - s.g[0] * w;
     fields[kMeanY] = inverse_low_pass * blur_y + s.L[1] * a + s.L[3] * b - s.g[1] * w;
   }
 };
 
-// What walk_patches needs.
+// The walk for walk_patches.
 template <bool Distortion>
 struct SurfelWalk {
   SurfelStage& stage;
-  const float *state, *planes;  // of the bucket; of the tile
+  const float *state, *planes;  // the bucket's states; the tile's planes
   TilePixel corner;
   SurfelLimits limits;
   float inverse_low_pass;
   DepthUnit unit;
   int patch = 0;
-  float x = 0.0f, y = 0.0f;     // of the lane's pixel's centre
+  float x = 0.0f, y = 0.0f;     // the centre of the lane's pixel
   float transmittance = 0.0f, behind = 0.0f;
   float v_color[3] = {}, v_normal[3] = {}, v_depth = 0.0f, v_median = 0.0f, v_moment[2] = {};
 
@@ -147,7 +150,7 @@ struct SurfelWalk {
     return true;
   }
 
-  // A closed pixel has no part in anything, and none outside of the image has gradients.
+  // Finished pixels contribute nothing, and pixels outside the image have no gradients.
   __device__ void load(bool open) {
     behind = open ? of_pixel(kBehind) : 0.0f;
     for (int k = 0; k < 3; ++k) {
@@ -170,7 +173,7 @@ struct SurfelWalk {
     const float T = transmittance, alpha = transmit(m.alpha, transmittance);
     SurfelTerms terms = {};
     float v_log_depth = 0.0f;
-    // Where the splat does not count, the depth may be anything.
+    // Where the splat does not count, the depth may have any value, even NaN.
     if (alpha > 0.0f) take_back(s, m, alpha, T, terms, v_log_depth);
     stage.terms[at][threadIdx.x % kWarp] = terms, stage.v_log_depths[at][threadIdx.x % kWarp] = v_log_depth;
   }
@@ -228,7 +231,7 @@ struct SurfelWalk {
   }
 };
 
-// The sums that the lane's splat has in the end.
+// Returns the final sums of the lane's splat.
 template <bool Distortion>
 __device__ inline void walk_splats(const SurfelBackwardParams& p, const Bucket& bucket, int number, bool mine, int splat,
                                    SurfelStage& stage, float* fields) {

@@ -11,23 +11,23 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-// The walk goes in batches, each in stages: the footprints of a batch's splats and their alphas, which do not wait for one
-// another; the transmittance, which does; then what is made of it. In one loop the processor would not see far
-// enough ahead to overlap them.
+// The walk processes batches of splats, each in stages: first the footprints and alphas, which are independent; then
+// the transmittance, which depends on the splats before; then the use of both. In a single loop the processor could not
+// look far enough ahead to overlap them.
 constexpr int kBatch = kWidth;
 
-// Splats on a sub-tile. The last batch of a list is filled up with splats that count nowhere.
+// A batch of splats on a sub-tile. The last batch of a list is padded with splats that count nowhere.
 struct Batch {
   const SurfelRecord* splat[kBatch];
-  float depth[kBatch];                 // of their centres
-  vfloat alpha[kBatch][kVectors];      // 0 where one does not count
-  vfloat T[kBatch][kVectors];          // before it
+  float depth[kBatch];                 // of the centres
+  vfloat alpha[kBatch][kVectors];      // 0 where a splat does not count
+  vfloat T[kBatch][kVectors];          // the transmittance before the splat
   vfloat r[kBatch][kVectors];          // depth = centre's depth * r: 1 / w, or 1 where the low-pass is stronger
   vfloat exponent[kBatch][kVectors];   // the weight is 2^-exponent
   vint on_disk[kBatch][kVectors];      // where the disk, not the low-pass, gives the weight; not set for plain splats
 };
 
-// Leaves the logarithms of a splat's alphas in alpha. Plain splats need neither the low-pass nor the near plane looked at.
+// Writes the logarithms of a splat's alphas to alpha. Plain splats need no check of the low-pass and the near plane.
 template <bool Plain>
 inline void meet(const SurfelRecord& s, const Pixels& pixels, float near, float low_pass, int e, Batch& batch) {
   const float depth = Plain ? s.signed_depth : -s.signed_depth;
@@ -45,7 +45,7 @@ inline void meet(const SurfelRecord& s, const Pixels& pixels, float near, float 
       exponent = select(on_disk, exponent, blur), r = select(on_disk, inverse, splat(1.0f));
       batch.on_disk[e][v] = on_disk;
     }
-    // Off the disk w can be 0, and what is made of it infinite: not even 0 times that may go into a sum.
+    // Off the disk w can be 0, and values derived from it infinite. Even 0 times infinity would spoil a sum.
     const vfloat log2_alpha = s.log2_opacity - exponent;
     const vint counts = log2_alpha >= kLog2MinAlpha;
     batch.alpha[e][v] = log2_alpha;
@@ -53,7 +53,7 @@ inline void meet(const SurfelRecord& s, const Pixels& pixels, float near, float 
   }
 }
 
-// From the alphas' logarithms to the alphas.
+// Replaces the logarithms of the alphas by the alphas.
 inline void raise_alphas(vfloat* alpha, int count) {
   constexpr int kAtOnce = 4;
   for (int i = 0; i < count; i += kAtOnce) {
@@ -64,7 +64,7 @@ inline void raise_alphas(vfloat* alpha, int count) {
   }
 }
 
-// Meets up to kBatch splats of a sub-tile's list and lets them pass; returns how many.
+// Composites up to kBatch splats of a sub-tile's list, and returns their number.
 inline int composite_splats(const SurfelInputs& in, const SurfelState& state, const SubTileLists& sub, const uint32_t* list,
                        int count, const Pixels& pixels, vfloat transmittances[kVectors], Batch& batch) {
   const int n = std::min(count, kBatch);
@@ -81,8 +81,8 @@ inline int composite_splats(const SurfelInputs& in, const SurfelState& state, co
   return n;
 }
 
-// Depth measured from a sub-tile's first splat, in units of the depth range: distortion needs only differences, and
-// these lose no digits.
+// Depth relative to a sub-tile's first splat, in units of the depth range. Distortion needs only differences, which
+// keep their precision in this form.
 struct DepthUnit {
   float offset, scale;
   vfloat of(vfloat z) const { return (z - offset) * scale; }
@@ -92,14 +92,14 @@ inline DepthUnit depth_unit(const SurfelInputs& in, const SurfelState& state, co
   return {sub.count(s) > 0 ? state.records[sub.splat(*sub.begin(s))].depth() : 0.0f, 1.0f / (in.far - in.near)};
 }
 
-// What blending adds up at a vector of pixels.
+// The sums of blending at a vector of pixels.
 struct Blend {
   vfloat color[3], normal[3], depth, median, m1, m2;
 };
 
 template <bool Distortion>
 inline void blend_vector(const Batch& batch, int v, const DepthUnit& unit, Blend& sums) {
-  // Copied out one by one, so that the loop has them in registers.
+  // Separate copies, so that the loop keeps them in registers.
   vfloat depth = sums.depth, median = sums.median, m1 = {}, m2 = {};
   vfloat red = sums.color[0], green = sums.color[1], blue = sums.color[2];
   vfloat nx = sums.normal[0], ny = sums.normal[1], nz = sums.normal[2];

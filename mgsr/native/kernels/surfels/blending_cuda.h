@@ -1,7 +1,8 @@
 // Blending the 2D branch's surfels, front to back. A block is a tile, a thread a pixel.
 //
-// The block takes its list 256 splats at a time into shared memory, a splat a thread, and finds which of the tile's patches
-// of 8x4 pixels each touches. A warp has a patch: of each bucket of 32 splats, it walks those alone that touch it.
+// The block loads its list into shared memory, 256 splats at a time and one per thread, and finds the patches of 8x4
+// pixels that each splat touches. A warp has one patch. Of each bucket of 32 splats, it walks only those that touch its
+// patch.
 #pragma once
 
 #include "kernels/common/tiles_cuda.h"
@@ -10,7 +11,7 @@
 
 namespace mgsr {
 
-// A pixel's state at the begin of a bucket, [buckets, planes, 256]: its transmittance, and what it has added up.
+// A pixel's state at the beginning of a bucket, [buckets, planes, 256]: its transmittance, and its sums so far.
 enum SurfelPlane { kTransmittancePlane, kColorPlane, kNormalPlane = kColorPlane + 3, kDepthPlane = kNormalPlane + 3, kPlainPlanes,
                    kMomentPlane = kPlainPlanes, kDistortionPlanes = kMomentPlane + 2 };
 
@@ -24,12 +25,12 @@ struct SurfelBlendParams {
   float* distortion;                     // [H,W], or null
   float* transmittance;                  // [H,W]
   float* moments;                        // [H,W,2] of depth, for distortion; or null
-  float* states;                         // or null, when there will be no backward pass
-  int* reached;                          // [tiles] how many splats of its list were looked at
+  float* states;                         // or null, if no backward pass follows
+  int* reached;                          // [tiles] number of splats of each list that were processed
 };
 
-// Depth measured from a tile's first splat, in units of the depth range: distortion needs only differences, and these lose
-// no digits.
+// Depth relative to a tile's first splat, in units of the depth range. Distortion needs only differences, which keep
+// their precision in this form.
 struct DepthUnit {
   float offset, scale;
   __device__ float of(float z) const { return (z - offset) * scale; }
@@ -44,19 +45,20 @@ __device__ inline DepthUnit depth_unit(const Tiles& tiles, const SurfelRecord* r
 struct SurfelMeeting {
   float dx, dy;    // from the centre, pixels
   float a, b;      // L d
-  float alpha;     // 0 where it does not count
-  float r;         // depth = the centre's depth * r: 1 / w, or 1 where the low-pass is stronger
+  float alpha;     // 0 if the splat does not count
+  float r;         // depth = the centre's depth * r: 1 / w, or 1 if the low-pass is stronger
   float exponent;  // the weight is 2^-exponent
   bool on_disk;    // whether the disk, not the low-pass, gives the weight
 };
 
-// What decides beside a splat: the near plane, and the low-pass's exponent at a pixel from the centre.
+// The near plane, and the exponent of the low-pass at a distance of one pixel from the centre.
 struct SurfelLimits {
   float near, blur;
   __device__ SurfelLimits(float near_plane, float low_pass) : near(near_plane), blur(kExponentScale / low_pass) {}
 };
 
-// At the pixel's centre (x, y). Products and fused operations, and one quotient, so that forward and backward round alike.
+// Evaluates a splat at the pixel's centre (x, y). It uses only products, fused operations and one quotient, so that
+// forward and backward round alike.
 __device__ inline SurfelMeeting meet(const SurfelRecord& s, float x, float y, const SurfelLimits& limits) {
   SurfelMeeting m;
   m.dx = x - s.x, m.dy = y - s.y;
@@ -69,7 +71,7 @@ __device__ inline SurfelMeeting meet(const SurfelRecord& s, float x, float y, co
     m.on_disk = m.exponent <= blur && s.depth() * m.r > limits.near;
     if (!m.on_disk) m.exponent = blur, m.r = 1.0f;
   }
-  // Also false for a NaN, where the plane is seen from its edge.
+  // Also false for NaN, which comes from a plane that is seen edge-on.
   const float log2_alpha = __fadd_rn(s.log2_opacity, -m.exponent);
   m.alpha = 0.0f;
   if (log2_alpha >= kLog2MinAlpha) m.alpha = fminf(quick_exp2(log2_alpha), kMaxAlpha);
@@ -95,7 +97,7 @@ struct SurfelPixel {
 
   __device__ void save(float* state, int pixel) const {
     state[kTransmittancePlane * kTilePixels + pixel] = transmittance;
-    if (!open()) return;  // the backward pass looks no further
+    if (!open()) return;  // the backward pass reads no states of a finished pixel
     for (int k = 0; k < 3; ++k) {
       state[(kColorPlane + k) * kTilePixels + pixel] = color[k];
       state[(kNormalPlane + k) * kTilePixels + pixel] = normal[k];

@@ -1,5 +1,5 @@
-// A splat's projection and its way back, the same on both machines: in float64 where float32 loses what is left of an axis
-// that lies nearly along the sight.
+// The projection of a splat and its derivative, the same on the CPU and the GPU. They work in float64 for needles,
+// because float32 loses the image of an axis that is nearly parallel to the line of sight.
 #pragma once
 
 #include "kernels/surfels/record.h"
@@ -14,7 +14,7 @@ struct SurfelParameters {
       : mean{m[0], m[1], m[2]}, quat{q[0], q[1], q[2], q[3]}, scale{s[0], s[1]} {}
 };
 
-// A needle's projection; edge_on as in SurfelFrame.
+// Returns the projection of a needle, and writes edge_on as in SurfelFrame.
 MGSR_HD ProjectedSurfel<float> project_needle(const Camera<float>& camera, const float* mean, const float* quat,
                                               const float* scale, bool& edge_on) {
   const SurfelParameters<double> splat(mean, quat, scale);
@@ -29,12 +29,12 @@ MGSR_HD ProjectedSurfel<float> project_needle(const Camera<float>& camera, const
   return rounded;
 }
 
-// center: of its pixel coordinates.
+// The gradients of a splat's geometry. center: the gradient of its projected centre in pixels.
 struct SurfelGeometryGradients {
   float mean[3], quat[4], scale[2], center[2];
 };
 
-// From the sums over a splat's pairs.
+// Returns the gradients of a splat's geometry, given the sums over its pairs.
 template <class T>
 MGSR_HD SurfelGeometryGradients surfel_geometry_gradients(const Camera<T>& cam, const float* mean, const float* quat,
                                                           const float* scale, const SurfelRecord& s, const float* total) {

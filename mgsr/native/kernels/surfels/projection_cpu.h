@@ -1,5 +1,4 @@
-// From the 2D branch's parameters to its surfels on the image and into the tiles' lists, and back to gradients of the
-// parameters.
+// The projection of the 2D branch's surfels to the image and to the tiles, and its derivative.
 #pragma once
 
 #include <algorithm>
@@ -15,7 +14,7 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-// A splat's bounds (math/surfel_bounds.h) as the search for tiles wants them.
+// A splat's bounds (math/surfel_bounds.h), in the form that the search for tiles takes.
 struct Outline {
   Ellipse disk;
   float x, y, radius;
@@ -40,7 +39,7 @@ struct Outline {
   }
 };
 
-// Fills the record and bounds of splat i; false when it can't be seen or isn't finite.
+// Fills the record and the bounds of splat i. Returns false if it is invisible or not finite.
 bool project_one(const SurfelInputs& in, int64_t i, SurfelRecord& record, SurfelBounds& bounds) {
   const float opacity = in.opacities[i], *scale = in.scales + 2 * i;
   SurfelFrame<float> f;
@@ -58,7 +57,8 @@ bool project_one(const SurfelInputs& in, int64_t i, SurfelRecord& record, Surfel
   return box.x1 >= 0 && box.x0 <= in.width && box.y1 >= 0 && box.y0 <= in.height;
 }
 
-// Projects and culls all splats, and notes the tiles that the visible ones touch. radii: [N] pixels, 0 where culled.
+// Projects and culls all splats, and records the tiles that the visible ones touch. radii: [N] pixels, 0 for culled
+// splats.
 void project_all(const SurfelInputs& in, SurfelState& state, float* radii) {
   state.records.resize(in.count), state.depths.resize(in.count);
   start_lists(state.lists, in.count, in.width, in.height);
@@ -75,7 +75,7 @@ void project_all(const SurfelInputs& in, SurfelState& state, float* radii) {
   });
 }
 
-// From the pairs' sums to the gradients of splat i, whose record is s.
+// Converts the sums over the pairs of splat i, whose record is s, to its gradients.
 template <class T>
 void splat_backward(const Camera<T>& cam, const SurfelInputs& in, int64_t i, const SurfelRecord& s, const float* total,
                     const SurfelGradients& v) {

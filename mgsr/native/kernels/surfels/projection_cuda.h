@@ -1,5 +1,6 @@
-// From the 2D branch's parameters to its surfels on the image, and from sums over their tiles back to gradients of the
-// parameters. One thread, one splat.
+// The projection of the 2D branch's surfels to the image, and the gradients of the parameters, given the sums over the
+// tiles.
+// One thread per splat.
 #pragma once
 
 #include "kernels/common/tiles_cuda.h"
@@ -22,22 +23,22 @@ struct SurfelSplats {
 
 struct SurfelProjectParams {
   SurfelSplats in;
-  SurfelRecord* records;    // [N], set where a splat is visible
+  SurfelRecord* records;    // [N], set only for visible splats
   SplatOutline* outlines;   // [N], likewise
-  float* depths;            // [N] of the centres, kCulledDepth where a splat was culled
+  float* depths;            // [N] of the centres, kCulledDepth for culled splats
   int* tile_counts;         // [N]
-  float* radii;             // [N] pixels, 0 where culled
+  float* radii;             // [N] pixels, 0 for culled splats
 };
 
 struct SurfelGradientParams {
   SurfelSplats in;
   const SurfelRecord* records;
-  const float* sums;        // [N, kPairFields], where a tile was touched
+  const float* sums;        // [N, kPairFields], set only for splats that touch a tile
   const int* tile_counts;
   float *means, *quats, *scales, *opacities, *colors, *means2d;  // outputs
 };
 
-// Fills a splat's record and outline; false when it can't be seen or isn't finite.
+// Fills the record and the outline of a splat. Returns false if it is invisible or not finite.
 __device__ inline bool project_surfel_splat(const SurfelSplats& in, int64_t i, SurfelRecord& record, SplatOutline& outline) {
   const float opacity = in.opacities[i], *scale = in.scales + 2 * i;
   SurfelFrame<float> f;

@@ -1,10 +1,11 @@
 // 2D surfels on the GPU.
 //
-// Forward: surfels_project (one thread, one splat); then, by mgsr/native/cuda/tiles.py, the sort by depth and the tiles'
-// lists; surfels_blend (one block, one tile; one thread, one pixel). Backward: surfels_pixels makes the gradient images
-// ready; surfels_backward (one warp, one bucket of 32 splats of a tile) leaves each (splat, tile) pair's gradient in the
-// pair's own slot; tiles_sum adds a splat's slots in their order; surfels_gradients (one thread, one splat) takes the sums
-// back to the parameters.
+// Forward: surfels_project runs one thread per splat. mgsr/native/cuda/tiles.py then sorts by depth and makes the
+// tiles' lists. surfels_blend runs one block per tile and one thread per pixel.
+// Backward: surfels_pixels prepares the gradient images. surfels_backward runs one warp per bucket of 32 splats of a
+// tile, and writes each (splat, tile) pair's gradient to the pair's own slot. tiles_sum adds a splat's slots in their
+// order.
+// surfels_gradients runs one thread per splat, and converts the sums to gradients of the parameters.
 #include "kernels/surfels/backward_cuda.h"
 #include "kernels/surfels/blending_cuda.h"
 #include "kernels/surfels/projection_cuda.h"

@@ -1,4 +1,4 @@
-// The 2D branch on the CPU: what goes in, what comes out, and what the backward pass needs kept from the forward pass.
+// The interface of the 2D branch on the CPU: inputs, outputs, and the state that the backward pass needs.
 #pragma once
 
 #include <vector>
@@ -17,15 +17,15 @@ struct SurfelInputs {
   const float* background;              // [3]
   Camera<float> camera;
   int width, height;
-  float low_pass;                       // px^2, variance of the floor around the projected centre
+  float low_pass;                       // px^2, variance of the low-pass around the projected centre
   float near, far;                      // camera units; far only sets the unit of distortion
 };
 
 struct SurfelImages {
   float *color, *alpha;         // [H,W,3] with background, [H,W] 1 - transmittance
-  float *depth, *median_depth;  // [H,W] mean camera depth; depth where transmittance falls through 1/2; else 0
+  float *depth, *median_depth;  // [H,W] mean camera depth; depth at which transmittance falls below 1/2; else 0
   float* normal;                // [H,W,3] world frame, sum of alpha T n
-  float* distortion;            // [H,W], or null when not asked for
+  float* distortion;            // [H,W], or null if not requested
 };
 
 struct SurfelGradients {
@@ -33,10 +33,10 @@ struct SurfelGradients {
   float* means2d;  // [N,2] pixels: gradient of the loss to a shift of each splat in the image plane
 };
 
-// Kept between forward and backward. Its vectors keep their memory when it is used again.
+// The state between forward and backward. Its vectors keep their memory when it is reused.
 struct SurfelState {
-  std::vector<SurfelRecord> records;  // [N], set where a splat is visible
-  std::vector<float> depths;          // [N] of the centres, -1 where a splat was culled
+  std::vector<SurfelRecord> records;  // [N], set only for visible splats
+  std::vector<float> depths;          // [N] of the centres, -1 for culled splats
   DepthSort sort;
   TileLists lists;
   std::vector<float> transmittance;   // [H,W], final
@@ -45,10 +45,10 @@ struct SurfelState {
 };
 
 struct SurfelKernels {
-  // radii: [N] pixels, 0 where culled.
+  // radii: [N] pixels, 0 for culled splats.
   void (*forward)(const SurfelInputs&, SurfelState&, const SurfelImages&, float* radii);
-  // `images` are the forward pass's outputs; a null gradient image means zero. Gradients are written where a splat is
-  // visible; the caller zeroes them first.
+  // images: the outputs of the forward pass. A null gradient image means zero. Only gradients of visible splats are
+  // written; the caller zeroes them first.
   void (*backward)(const SurfelInputs&, SurfelState&, const SurfelImages& images, const SurfelImages& v_images,
                    const SurfelGradients&);
 };

@@ -1,10 +1,10 @@
 // 2D surfels on the CPU.
 //
-// Forward: project and cull every splat and find the tiles it touches (chunks of splats over the threads); sort the
-// visible ones by depth; lay out the tiles' lists; blend tile by tile (one tile is one piece of work). Within a tile each
-// 4x4 sub-tile is blended on its own, its 16 pixels in registers, over the entries of the tile whose mask names it.
-// Backward: the same walk front to back leaves the gradient of each (splat, tile) pair in the pair's own slot; a splat's
-// slots are then added in tile order, so the result doesn't depend on the number of threads.
+// Forward: project and cull every splat and find the tiles it touches, in chunks of splats over the threads. Sort the
+// visible splats by depth, and lay out the tiles' lists. Blend tile by tile; one tile is one task. Within a tile, each
+// 4x4 sub-tile is blended on its own, with its 16 pixels in registers, over the entries whose mask names it.
+// Backward: the same walk, front to back, writes the gradient of each (splat, tile) pair to the pair's own slot. Then a
+// splat's slots are added in tile order, so the result does not depend on the number of threads.
 #include "kernels/surfels/surfels.h"
 
 #include "kernels/surfels/backward_cpu.h"

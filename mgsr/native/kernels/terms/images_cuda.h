@@ -1,5 +1,5 @@
-// What losses are made of beside the image family: the target of a view, where a surface is, and terms that look at each
-// number alone. A thread is a pixel or a number; each term leaves its derivatives, not yet scaled, and its blocks' sums.
+// The parts of losses outside the image family: the target of a view, the covered pixels, and terms of single numbers.
+// A thread is a pixel or a number. Each term writes its derivatives, not yet scaled, and the sums of its blocks.
 #pragma once
 
 #include "kernels/common/sums_cuda.h"
@@ -10,16 +10,16 @@ constexpr int kTermThreads = 256;
 
 __device__ inline int64_t term_index() { return int64_t(blockIdx.x) * kTermThreads + threadIdx.x; }
 
-// A photograph in bytes, composited on a colour.
+// Composites a photograph in bytes on a colour.
 struct TargetParams {
   int64_t pixels;
   const unsigned char* image;     // [pixels, 3], straight colours
   const unsigned char* mask;      // [pixels], or null for 255 everywhere
   const unsigned char* off_edge;  // [pixels] 0 or 1, or null
-  const float* background;        // [3], beside the mask
+  const float* background;        // [3], required with a mask
   float* color;                   // [pixels, 3]
   float* alpha;                   // [pixels] 0..1, or null
-  float* weights;                 // [pixels], off_edge as numbers; beside it
+  float* weights;                 // [pixels], off_edge as floats; required with it
 };
 
 __device__ inline void composite(const TargetParams& p) {
@@ -34,7 +34,7 @@ __device__ inline void composite(const TargetParams& p) {
   if (p.weights) p.weights[i] = p.off_edge[i] ? 1.0f : 0.0f;
 }
 
-// 1 where both alphas are over a half, else 0.
+// Writes 1 where both alphas are over a half, else 0.
 struct CoveredParams {
   int64_t pixels;
   const float* alpha;
@@ -48,12 +48,12 @@ __device__ inline void find_covered(const CoveredParams& p) {
   p.covered[i] = p.alpha[i] > 0.5f && (!p.mask || p.mask[i] > 0.5f) ? 1.0f : 0.0f;
 }
 
-// The difference of two silhouettes: absolute, or the cross entropy of alpha within kLeast of 0 and 1.
+// The difference of two silhouettes: absolute, or the cross entropy with alpha clamped to kLeast from 0 and 1.
 struct SilhouetteParams {
   int64_t pixels;
   const float* alpha;
   const float* mask;
-  const float* weights;  // multiply both; or null for 1 everywhere
+  const float* weights;  // multiplies both silhouettes; or null for 1 everywhere
   int entropy;           // 0 or 1
   float* v_alpha;        // [pixels], or null
   PartialSums* sums;     // [blocks]
@@ -85,7 +85,7 @@ __device__ inline void compare_silhouettes(const SilhouetteParams& p) {
 struct SquaresParams {
   int64_t count;
   const float* a;
-  const float *b, *first, *second;  // each may be null: 0, 1 and 1 everywhere
+  const float *b, *first, *second;  // each may be null, which means 0, 1 and 1 everywhere
   float offset;
   float* differences;  // [count]
   PartialSums* sums;   // [blocks]
@@ -103,12 +103,12 @@ __device__ inline void sum_squares(const SquaresParams& p) {
   write_block_sums(total, 0.0, &p.sums[blockIdx.x]);
 }
 
-// A weight times a colour, summed.
+// The sum of weight times colour.
 struct ProductParams {
   int64_t pixels;
   const float* weight;
   const float* color;  // [pixels, 3]
-  float* v_weight;     // [pixels], the colour's sum; the colour's own derivative is the weight
+  float* v_weight;     // [pixels], the sum over the colour's channels; the derivative to the colour is the weight
   PartialSums* sums;   // [blocks]
 };
 

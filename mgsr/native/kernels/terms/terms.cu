@@ -1,4 +1,4 @@
-// The loss terms on the GPU, beside those of the image family; each file says how it goes.
+// The loss terms on the GPU outside the image family. The headers describe the kernels.
 #include "kernels/terms/images_cuda.h"
 #include "kernels/terms/totals_cuda.h"
 

@@ -1,4 +1,4 @@
-// From the terms' sums to their values, and from their derivatives to the images' gradients.
+// Converts the terms' sums to their values, and their derivatives to the images' gradients.
 #pragma once
 
 #include "kernels/common/sums_cuda.h"
@@ -8,8 +8,8 @@ namespace mgsr {
 constexpr int kMostTerms = 24, kMostImages = 16, kMostParts = 4;
 constexpr int kTotalThreads = 256, kGradientThreads = 256, kGradientFloats = 1024;
 
-// value = weight * total / by and scale = weight / by, both 0 where `by` is; by = factor * what the blocks counted, where
-// that counts, * *divisor, where there is one.
+// value = weight * total / by and scale = weight / by; both are 0 if `by` is. by = factor, times the total that the
+// blocks counted if that is used, times *divisor if there is one.
 struct TermSums {
   const PartialSums* sums;
   int blocks, counted;
@@ -18,7 +18,7 @@ struct TermSums {
   float weight;
 };
 
-// A block takes a term, and adds up its sums in a fixed order.
+// A block takes a term, and adds its sums in a fixed order.
 struct TotalsParams {
   TermSums terms[kMostTerms];
   float *values, *scales;  // [terms]
@@ -36,10 +36,10 @@ __device__ inline void find_value(const TotalsParams& p) {
   p.values[blockIdx.x] = float(all.total * scale), p.scales[blockIdx.x] = float(scale);
 }
 
-// What one term says of an image: factor * slopes, of the pixels in a region alone, times the term's scale and what the
-// loss says of the term.
+// The contribution of one term to an image's gradient: factor * slopes in a region, times the term's scale and the
+// gradient of the term.
 struct GradientPart {
-  const float* slopes;  // as the image, or one number a pixel
+  const float* slopes;  // the shape of the image, or one number per pixel
   int term, channels;
   int y0, y1, x0, x1;
   float factor;
@@ -48,11 +48,11 @@ struct GradientPart {
 struct ImageGradient {
   float* out;
   int64_t count;
-  int width, channels, parts, end;  // end: the first block behind the image's
+  int width, channels, parts, end;  // end: the first block after those of the image
   GradientPart part[kMostParts];
 };
 
-// A block adds up kGradientFloats neighbouring numbers of one image, a thread every kGradientThreads-th of them.
+// A block computes kGradientFloats neighbouring numbers of one image, and a thread every kGradientThreads-th of them.
 struct GradientsParams {
   int images;
   const float *v_values, *scales;  // [terms]

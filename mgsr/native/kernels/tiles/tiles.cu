@@ -1,14 +1,15 @@
-// Lists of splats for each tile, and sums over a splat's tiles; the same for both branches.
+// The lists of splats for each tile, and the sums over a splat's tiles, for both branches.
 //
-// An image is worked in one band, or in several where its pairs are too many for the memory.
+// An image is processed in one band, or in several if its pairs are too many for the memory.
 //
 // tiles_count: a thread counts the tiles of a band that one splat touches.
-// tiles_emit: a thread writes one splat's (tile, splat) pairs, splats in depth order, so that a stable sort by tile leaves
-// each tile's list nearest first. A pair's place before that sort is its slot: a splat's slots are consecutive.
+// tiles_emit: a thread writes one splat's (tile, splat) pairs. Splats are in depth order, so after a stable sort by
+// tile, each tile's list is nearest first. A pair's place before that sort is its slot, so a splat's slots are
+// consecutive.
 // tiles_list: a thread writes one entry of the sorted lists, and the range of a tile where it begins or ends.
-// tiles_buckets: one block adds up the tiles' buckets, a thread a stretch of neighbouring tiles.
-// tiles_sum: 16 lanes add up one splat's pair gradients, a field each, in the order of the slots: no atomics, and the same
-// bytes at every run.
+// tiles_buckets: one block sums the tiles' buckets; a thread takes a range of neighbouring tiles.
+// tiles_sum: 16 lanes sum one splat's pair gradients, one field each, in the order of the slots. There are no atomics,
+// so every run gives the same bytes.
 #include "kernels/common/tiles_cuda.h"
 
 namespace mgsr {
@@ -19,9 +20,9 @@ struct CountParams {
   int64_t count;
   int width, height;
   TileRows rows;                 // of the band
-  const SplatOutline* outlines;  // [count], set where a splat is seen
-  const int* in_all;             // [count] tiles of the image that each splat touches
-  int* tile_counts;              // [count] those of the band
+  const SplatOutline* outlines;  // [count], set only for visible splats
+  const int* in_all;             // [count] number of tiles of the image that each splat touches
+  int* tile_counts;              // [count] number of tiles of the band
 };
 
 struct EmitParams {
@@ -30,8 +31,8 @@ struct EmitParams {
   TileRows rows;                 // of the band
   const SplatOutline* outlines;  // [count]
   const int64_t* order;          // [count] splats, nearest first
-  const int* tile_counts;        // [count] of each splat, in the band
-  const int64_t* ends;           // [count] sums of the counts in depth order, each with its own
+  const int* tile_counts;        // [count] number of tiles of the band
+  const int64_t* ends;           // [count] inclusive prefix sums of the counts in depth order
   void* keys;                    // [pairs] tiles, of 2 or 4 bytes
   int key_bytes;
   int* owners;                   // [pairs] splats
@@ -41,10 +42,10 @@ struct ListParams {
   int64_t pairs;
   const void* keys;      // [pairs] sorted
   int key_bytes;
-  const int64_t* slots;  // [pairs] where each was before
+  const int64_t* slots;  // [pairs] the place of each before the sort
   const int* owners;     // [pairs] splats, before the sort
   int2* entries;         // [pairs]
-  int2* ranges;          // [tiles], zero before
+  int2* ranges;          // [tiles], zero at the start
 };
 
 struct BucketsParams {
@@ -130,7 +131,7 @@ MGSR_KERNEL(tiles_sum, mgsr::SumParams, mgsr::kTilesThreads) {
   const int64_t splat = p.order[rank];
   const int count = p.tile_counts[splat];
   const float* pairs = p.pairs + (p.ends[rank] - count) * kPairFields + field;
-  // Four sums, which don't wait for one another.
+  // Four independent sums, which don't wait for one another.
   float sums[4] = {};
   int i = 0;
   for (; i + 4 <= count; i += 4)

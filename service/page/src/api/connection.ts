@@ -1,4 +1,4 @@
-// Whether the service answers. Once it does not, it is asked again and again until it does.
+// Tracks whether the service answers. After a failed request, the page polls the service until it answers again.
 
 const FIRST_PAUSE = 1000;
 const LONGEST_PAUSE = 5000;
@@ -6,12 +6,12 @@ const LONGEST_PAUSE = 5000;
 export class Connection extends EventTarget {
   private answering = true;
 
-  /** Whether the service answered when it was last asked. */
+  /** Whether the service answered the last request. */
   get up(): boolean {
     return this.answering;
   }
 
-  /** The service did not answer a request. Dispatches `change`, and another when it is back. */
+  /** Report that the service did not answer. Dispatches `change` now, and again when it is back. */
   lost(): void {
     if (!this.answering) return;
     this.answering = false;
@@ -19,7 +19,7 @@ export class Connection extends EventTarget {
     this.ask(FIRST_PAUSE);
   }
 
-  /** Resolves once the service answers: at once if it does already. */
+  /** Resolve once the service answers, at once if it already does. */
   back(signal?: AbortSignal): Promise<void> {
     if (this.answering) return Promise.resolve();
     return new Promise((resolve, reject) => {

@@ -12,18 +12,18 @@ export interface ServerEvent {
 }
 
 export interface Watcher {
-  /** The whole job: first of all, after each new connection, and when it has ended. */
+  /** Called with the whole job: first, after each new connection, and when the job has ended. */
   job(job: Job): void;
-  /** What has changed. */
+  /** Called with the changed fields. */
   progress(change: Partial<Progress>): void;
 }
 
 const PAUSE = 2000;
-// The service says something at least every 15 s.
+// The service sends something at least every 15 s.
 const SILENCE = 40_000;
 
-/** Follow a job until it has ended or the signal aborts. Lost connections are taken up where they ended. Throws
- * Problem where the service refuses. */
+/** Follow a job until it has ended or the signal aborts. Resumes after lost connections. Throws Problem if the
+ * service refuses. */
 export async function follow(service: Service, id: string, watcher: Watcher, signal: AbortSignal): Promise<void> {
   let last: string | null = null;
   let ended = false;
@@ -42,7 +42,7 @@ export async function follow(service: Service, id: string, watcher: Watcher, sig
   }
 }
 
-/** Hand an event to the watcher; whether it says that the job has ended. */
+/** Pass an event to the watcher, and return whether the job has ended. */
 function pass(event: ServerEvent, watcher: Watcher): boolean {
   if (event.kind === "progress") watcher.progress(JSON.parse(event.data) as Partial<Progress>);
   if (event.kind !== "job") return false;
@@ -78,11 +78,11 @@ async function* listen(
   }
 }
 
-/** Takes the stream's text in pieces of any size. */
+/** A parser that takes the stream's text in pieces of any size. */
 export class EventParser {
   private held = "";
 
-  /** The events that are whole with this piece. */
+  /** Add a piece, and yield the events that it completes. */
   *take(chunk: string): Generator<ServerEvent> {
     const blocks = (this.held + chunk).split("\n\n");
     this.held = blocks.pop()!;

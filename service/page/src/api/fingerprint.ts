@@ -1,9 +1,9 @@
-// A short name for a long list of words. `crypto.subtle` is missing on pages without HTTPS.
+// A hash of a list of words, since `crypto.subtle` is missing on pages without HTTPS.
 
 const SEEDS = [0x811c9dc5, 0x1b873593];
 const PRIME = 0x01000193;
 
-/** The 64-bit FNV-1a hash of some words, as hexadecimal digits; words that differ get another one, but for bad luck. */
+/** Return the 64-bit FNV-1a hash of words, as hexadecimal digits. Collisions are possible but unlikely. */
 export function fingerprint(words: string[]): string {
   const bytes = new TextEncoder().encode(words.map((word) => `${word.length} ${word}`).join("\n"));
   return SEEDS.map((seed) => {

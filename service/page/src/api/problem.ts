@@ -1,4 +1,4 @@
-// What can go wrong between page and service.
+// The errors of requests to the service.
 
 /** The service answered with an error: RFC 9457 problem details. */
 export class Problem extends Error {
@@ -18,18 +18,18 @@ export class Unreachable extends Error {
   }
 }
 
-/** The problem that an answer's body describes; one made from the status alone where it describes none. */
+/** Return the problem that an answer's body describes, or one made from the status alone. */
 export function readProblem(status: number, body: string): Problem {
   try {
     const { code, detail } = JSON.parse(body) as { code?: unknown; detail?: unknown };
     if (typeof code === "string" && typeof detail === "string") return new Problem(status, code, detail);
   } catch {
-    // Something before the service answered, such as a proxy.
+    // The answer comes from something in front of the service, such as a proxy.
   }
   return new Problem(status, "unknown", `the service answered with status ${status}`);
 }
 
-/** Whether an error only says that the page itself gave up. */
+/** Return whether an error only means that the page itself cancelled the request. */
 export function isAbort(error: unknown): boolean {
   return error instanceof DOMException && error.name === "AbortError";
 }

@@ -10,7 +10,7 @@ const KEY = "mgsr-key";
 export class Service extends EventTarget {
   readonly connection = new Connection();
 
-  /** The API key; it lasts as long as the browser's tab. */
+  /** The API key, which lasts as long as the browser tab. */
   get key(): string | null {
     return sessionStorage.getItem(KEY);
   }
@@ -20,12 +20,12 @@ export class Service extends EventTarget {
     else sessionStorage.setItem(KEY, value);
   }
 
-  /** The headers that say who asks. */
+  /** The headers that identify the caller. */
   get credentials(): Record<string, string> {
     return this.key === null ? {} : { Authorization: `Bearer ${this.key}` };
   }
 
-  /** The answer to a request, if it is no error. A refused key is also dispatched, as the event `key`. */
+  /** Send a request and return the answer. Throws for errors. A refused key also dispatches the event `key`. */
   async request(path: string, init: RequestInit = {}): Promise<Response> {
     const answer = await this.send(path, init);
     if (answer.ok || answer.status === 304) return answer;
@@ -34,7 +34,7 @@ export class Service extends EventTarget {
     throw problem;
   }
 
-  /** Note a problem of a request that was made elsewhere. */
+  /** Report a problem of a request that did not go through this class. */
   refused(problem: Problem): void {
     if (problem.status === 401) this.dispatchEvent(new CustomEvent("key", { detail: problem }));
   }
@@ -47,7 +47,7 @@ export class Service extends EventTarget {
     return this.json(`/jobs?limit=${limit}`);
   }
 
-  /** Make a job of a complete upload, which has the job's options; the same job again if it has one. */
+  /** Make a job of a complete upload, which has the job's options. A repeated call returns the same job. */
   async submitUpload(url: string): Promise<Job> {
     const answer = await this.request(`${new URL(url, location.href).pathname}/job`, { method: "POST" });
     return (await answer.json()) as Job;
@@ -61,14 +61,14 @@ export class Service extends EventTarget {
     await this.request(`/jobs/${job}/retry`, { method: "POST" });
   }
 
-  /** Start a new job from the archive of another, with these of its options changed; the new job's id. */
+  /** Start a new job from the archive of another with changed options, and return its id. */
   async rerun(job: string, options: JobOptions): Promise<string> {
     const query = encodeURIComponent(JSON.stringify(options));
     const answer = await this.request(`/jobs/${job}/rerun?options=${query}`, { method: "POST" });
     return ((await answer.json()) as Job).id;
   }
 
-  /** Keep a job beyond the service's retention, or no longer. */
+  /** Pin a job, so that it is kept beyond the service's retention, or unpin it. */
   async pin(job: string, pinned: boolean): Promise<Job> {
     return (await this.request(`/jobs/${job}/pin`, { method: pinned ? "PUT" : "DELETE" })).json() as Promise<Job>;
   }
@@ -81,7 +81,7 @@ export class Service extends EventTarget {
     return (await this.json<{ artifacts: Artifact[] }>(`/jobs/${job}/artifacts`)).artifacts;
   }
 
-  /** A result file. The service sends it itself: the page may not connect to the bucket behind it. */
+  /** Get a result file. The service itself sends it, as the page may not connect to the bucket behind it. */
   async file(job: string, artifact: Artifact, progress?: (share: number) => void): Promise<Blob> {
     const name = artifact.name.split("/").map(encodeURIComponent).join("/");
     const answer = await this.request(`/jobs/${job}/artifacts/${name}?redirect=false`);
@@ -99,19 +99,19 @@ export class Service extends EventTarget {
     return new Blob(chunks, { type: artifact.content_type });
   }
 
-  /** A picture of a job that trains, with its version; null while it has the version that is known. */
+  /** Get a preview of a job in training with its version, or null if the version is still the given one. */
   async preview(job: string, name: string, version: string): Promise<{ picture: Blob; version: string } | null> {
     const answer = await this.request(`/jobs/${job}/previews/${name}.webp`, { headers: { "If-None-Match": version } });
     if (answer.status === 304) return null;
     return { picture: await answer.blob(), version: answer.headers.get("ETag") ?? "" };
   }
 
-  /** The photographs that a job has checked, with their cameras. */
+  /** Get the checked photographs of a job, with their cameras. */
   photographs(job: string): Promise<Photographs> {
     return this.json(`/jobs/${job}/photographs`);
   }
 
-  /** A sheet of small pictures of these photographs, or of their masks. */
+  /** Get the sheet of small pictures of these photographs, or of their masks. */
   async sheet(job: string, name: "photographs" | "masks"): Promise<Blob> {
     return (await this.request(`/jobs/${job}/previews/${name}.webp`)).blob();
   }

@@ -1,4 +1,4 @@
-/** The pieces of a stream as they come. (Safari can't iterate over one by itself.) */
+/** Yield the pieces of a stream as they arrive, since Safari can't iterate over streams. */
 export async function* pieces<T>(stream: ReadableStream<T>): AsyncGenerator<T> {
   const reader = stream.getReader();
   try {
@@ -8,6 +8,6 @@ export async function* pieces<T>(stream: ReadableStream<T>): AsyncGenerator<T> {
       yield value;
     }
   } finally {
-    void reader.cancel().catch(() => undefined); // who reads no further wants no more
+    void reader.cancel().catch(() => undefined); // a reader that stops early wants no more
   }
 }

@@ -1,9 +1,9 @@
-// What the service sends, as /openapi.json describes it.
+// The types of the service's answers, as in /openapi.json.
 
 export type JobStatus = "queued" | "running" | "succeeded" | "failed" | "cancelled";
 
 export interface CurvePoint {
-  /** Of training, so far. */
+  /** Seconds of training so far. */
   seconds: number;
   stage: string;
   iteration: number;
@@ -19,7 +19,7 @@ export interface Failure {
   peak_memory_bytes: number | null;
 }
 
-/** One thing that the check of the photographs found. */
+/** A finding of the check of the photographs. */
 export interface Finding {
   code: string;
   severity: "error" | "warning" | "note";
@@ -27,13 +27,13 @@ export interface Finding {
   amount: number;
   unit: string;
   cure: string;
-  /** Those concerned; empty where it is all of them. */
+  /** The affected photographs; empty if all are affected. */
   photographs: string[];
   /** Camera positions from which photographs are missing. */
   places: [number, number, number][];
 }
 
-/** What changes while a job runs: a progress event carries some of these. */
+/** The fields that change while a job runs. A progress event has some of them. */
 export interface Progress {
   status: JobStatus;
   step: string | null;
@@ -43,18 +43,18 @@ export interface Progress {
   total: number | null;
   progress: number;
   eta_seconds: number | null;
-  /** Of the step alone, where it is long and comes before training. */
+  /** The progress of the current step, if it is a long one before training. */
   step_progress: number | null;
   step_eta_seconds: number | null;
   training_seconds: number | null;
   losses: Record<string, number | null>;
   psnr: number | null;
   splats: Record<string, number>;
-  /** Each picture that there is, and after how many iterations of training it was made. */
+  /** The available pictures, each with its iteration of training. */
   previews: Record<string, number>;
   attempt: number | null;
   memory_bytes: number | null;
-  /** The worst first; null before the check. */
+  /** The findings, worst first; null before the check. */
   findings: Finding[] | null;
 }
 
@@ -64,13 +64,13 @@ export interface Job extends Progress {
   created: string;
   finished: string | null;
   cancelling: boolean;
-  /** Whether it stays after the service's retention. */
+  /** Whether the job is kept beyond the service's retention. */
   pinned: boolean;
-  /** When the service deletes it; null where it stays. */
+  /** When the service deletes the job; null if it is kept. */
   expires: string | null;
   curve: CurvePoint[];
   queue_position: number | null;
-  /** The job whose archive this one took over. */
+  /** The job whose archive this job reuses. */
   rerun_of: string | null;
   round: number;
   error: Failure | null;
@@ -78,14 +78,14 @@ export interface Job extends Progress {
   options: JobOptions;
 }
 
-/** What a run at a preset is expected to take. */
+/** The estimated cost of a run at a preset. */
 export interface Estimate {
   preset: string;
   seconds: number;
   memory_mib: number;
 }
 
-/** The headline figures of report.json. */
+/** The main figures of report.json. */
 export interface Metrics {
   psnr_test?: number;
   ssim_test?: number;
@@ -93,7 +93,7 @@ export interface Metrics {
   gaussians?: Record<string, number>;
   seconds?: number | Record<string, number>;
   peak_memory_mib?: number;
-  /** Of a dry run, which has no other figures. */
+  /** The estimates of a dry run, which has no other figures. */
   estimate?: Estimate[];
 }
 
@@ -104,7 +104,7 @@ export interface JobOptions {
   preset?: string;
   method?: string;
   settings?: Record<string, SettingValue>;
-  /** What else the service's schema has. */
+  /** Further fields of the service's schema. */
   [other: string]: unknown;
 }
 
@@ -129,7 +129,7 @@ export interface SettingSchema {
   maximum?: number;
   default?: SettingValue;
   anyOf?: SettingSchema[];
-  /** Of a choice that is described elsewhere in the schema. */
+  /** The reference of a choice that is described elsewhere in the schema. */
   $ref?: string;
 }
 
@@ -144,25 +144,25 @@ export interface Options {
   presets: Record<string, Record<string, string>>;
   methods: Record<string, Record<string, string>>;
   settings: Record<string, SettingSchema>;
-  /** The most bytes of an archive. */
+  /** The largest size of an archive, in bytes. */
   max_upload: number;
 }
 
 export type Place = [number, number, number];
 
-/** A photograph that was checked, and its camera in the capture's frame. */
+/** A checked photograph, and its camera in the capture's frame. */
 export interface Photograph {
   name: string;
   center: Place;
   direction: Place;
   up: Place;
-  /** Degrees that the camera sees across and down. */
+  /** The camera's horizontal and vertical field of view, in degrees. */
   angles: [number, number];
   residual: number | null;
   reprojection: number | null;
 }
 
-/** The photographs that were checked; pictures of them lie in a sheet, in their order, in squares. */
+/** The checked photographs. A sheet holds pictures of them in squares, in the same order. */
 export interface Photographs {
   tile: number;
   columns: number;

@@ -1,5 +1,5 @@
-// Sends an archive in several requests, by the tus protocol: a broken connection costs only what was on its way. The
-// browser's storage keeps the upload's address, so that the same files go on after a restart of the page.
+// Sends an archive in several requests by the tus protocol, so that a broken connection loses only the bytes in
+// transit. The browser's storage keeps the upload's address, so that the same files continue after a reload of the page.
 
 import { DetailedError, Upload as TusUpload } from "tus-js-client";
 
@@ -10,12 +10,12 @@ import type { Service } from "./service";
 import type { Job, JobOptions } from "./types";
 
 const REQUEST_BYTES = 32 * 1024 * 1024;
-// Pauses after failures in a row, milliseconds.
+// The pauses after failures in a row, in milliseconds.
 const PAUSES = [500, 1000, 2000, 4000, 8000, 8000, 8000];
-// Statuses after which the same bytes may be taken later: too slow, another offset, busy, away.
+// Statuses after which a repeated request may succeed: too slow, another offset, busy, unavailable.
 const AGAIN = new Set([408, 409, 429, 502, 503, 504]);
 
-/** A capture on its way. `send` can be called again after an error: it goes on where the service has it. */
+/** The upload of a capture. After an error, `send` can be called again, and continues where the service's bytes end. */
 export class Upload {
   private url: string | null = null;
 
@@ -25,13 +25,13 @@ export class Upload {
     private readonly options: JobOptions,
   ) {}
 
-  /** The job that the service makes of it. Throws Problem, Unreachable, or the signal's AbortError. */
+  /** Send the capture, and return the job. Throws Problem, Unreachable, or the signal's AbortError. */
   async send(progress: (sent: number) => void, signal: AbortSignal): Promise<Job> {
     try {
       await this.transfer(progress, signal);
       return await this.service.submitUpload(this.url!);
     } catch (error) {
-      // What the service no longer has is sent from the start.
+      // If the service no longer has the upload, it is sent from the start.
       if (error instanceof Problem && (error.status === 404 || error.status === 410)) this.url = null;
       throw error;
     }
@@ -61,7 +61,7 @@ export class Upload {
         },
       });
       signal.addEventListener("abort", () => {
-        // Also what has arrived: the person wants none of it.
+        // Received bytes are deleted too, because the user has cancelled.
         void upload.abort(true).catch(() => undefined);
         reject(signal.reason);
       });
@@ -74,13 +74,13 @@ export class Upload {
     });
   }
 
-  /** Delete what the service has: it does not want the rest. */
+  /** Delete the upload from the service, which refuses the rest. */
   private giveUp(upload: TusUpload): void {
     void upload.abort(true).catch(() => undefined);
     this.url = null;
   }
 
-  /** Whether the same bytes may be taken later. */
+  /** Return whether a repeated request may succeed. */
   private mayPass(error: DetailedError): boolean {
     if (error.originalResponse !== null) return AGAIN.has(error.originalResponse.getStatus());
     this.service.connection.lost();

@@ -1,10 +1,10 @@
-// What a person picked or dropped, as one archive or video to send.
+// Turns chosen or dropped files into one archive or video to send.
 
 import { tar, type Member } from "./tar";
 
 /**
- * An archive or a video, and what it is called. files: how many it was made of; null where it was one already.
- * identity: path, size and time of each file, which tell the capture from others.
+ * An archive or a video, and its name. files: the number of packed files, null if a single archive or video was chosen.
+ * identity: path, size and time of each file, which distinguish the capture from others.
  */
 export interface Capture {
   name: string;
@@ -24,10 +24,10 @@ const TYPES: [RegExp, string][] = [
   [/\.webm$/i, "video/webm"],
   [/\.mkv$/i, "video/x-matroska"],
 ];
-// What systems leave behind in folders.
+// Files that operating systems create in folders.
 const LITTER = /(^|\/)(\.|__MACOSX\/|Thumbs\.db$|desktop\.ini$)/;
 
-/** Files with their paths, as one capture; null where there is none. */
+/** Pack files with their paths into one capture. Returns null if there are no files. */
 export function captureOf(members: Member[]): Capture | null {
   const kept = members.filter(({ path }) => !LITTER.test(path));
   if (kept.length === 0) return null;
@@ -42,14 +42,14 @@ export function captureOf(members: Member[]): Capture | null {
   return { name: folder ?? "photographs", archive, identity, type: "application/x-tar", files: inside.length };
 }
 
-/** The files of an input element: single ones, or a folder's. */
+/** Return the files of an input element, which are single files or those of a folder. */
 export function pickedFiles(list: FileList): Member[] {
   return [...list].map((file) => ({ path: file.webkitRelativePath || file.name, file }));
 }
 
-/** The files of a drop, also those inside of folders. */
+/** Return the files of a drop, with those inside folders. */
 export async function droppedFiles(items: DataTransferItemList): Promise<Member[]> {
-  // All at once: after the first wait the list is empty.
+  // The entries are read at once, because the list is empty after the first await.
   const entries = [...items].map((item) => item.webkitGetAsEntry()).filter((entry) => entry !== null);
   return (await Promise.all(entries.map(walk))).flat();
 }
@@ -63,14 +63,14 @@ async function walk(entry: FileSystemEntry): Promise<Member[]> {
   const reader = (entry as FileSystemDirectoryEntry).createReader();
   const found: Member[] = [];
   for (;;) {
-    // A hundred at a time, then none.
+    // Browsers return a hundred entries at a time, and none at the end.
     const batch = await new Promise<FileSystemEntry[]>((resolve, reject) => reader.readEntries(resolve, reject));
     if (batch.length === 0) return found;
     found.push(...(await Promise.all(batch.map(walk))).flat());
   }
 }
 
-/** The files without the one folder that holds them all, if there is one. */
+/** Strip the folder that contains all files, if there is one. */
 function withoutTop(members: Member[]): { folder: string | null; inside: Member[] } {
   const tops = new Set(members.map(({ path }) => (path.includes("/") ? path.slice(0, path.indexOf("/")) : "")));
   const [top] = tops;

@@ -1,15 +1,15 @@
-// A folder as a tar (POSIX.1-2001). Its files are only referred to, so gigabytes of photographs need no memory: the
-// browser reads them when it sends them. (A zip would need the checksum of each before anything is sent.)
+// Packs a folder as a tar (POSIX.1-2001). The blob only refers to the files, so gigabytes of photographs need no memory:
+// the browser reads them when it sends them. A zip would need the checksum of each file first.
 
 const BLOCK = 512;
 
 export interface Member {
-  /** Path inside the archive, with slashes. */
+  /** The path inside the archive, with slashes. */
   path: string;
   file: File;
 }
 
-/** The archive of these files. */
+/** Pack files into an archive. */
 export function tar(members: Member[]): Blob {
   const parts: BlobPart[] = [];
   for (const { path, file } of members) {
@@ -19,12 +19,12 @@ export function tar(members: Member[]): Blob {
   return new Blob([...parts, new Uint8Array(2 * BLOCK)], { type: "application/x-tar" });
 }
 
-/** Whether the plain header can hold a path. */
+/** Return whether a plain header can hold a path. */
 function fits(path: string): boolean {
   return path.length <= 100 && /^[\x20-\x7e]*$/.test(path);
 }
 
-/** An extra member that tells the next one's path. */
+/** Return an extra member that holds the next member's path. */
 function paxHeader(path: string): BlobPart[] {
   const record = new TextEncoder().encode(` path=${path}\n`);
   let length = record.length + 1;
@@ -42,7 +42,7 @@ function header(path: string, size: number, type: string, milliseconds: number):
   write(octal(0, 7), 116);
   write(octal(size, 11), 124);
   write(octal(Math.max(0, milliseconds / 1000), 11), 136);
-  write(" ".repeat(8), 148); // counts as blanks in the sum that takes its place
+  write(" ".repeat(8), 148); // the checksum counts its own field as blanks
   write(type, 156);
   write("ustar\x0000", 257);
   write(`${octal(block.reduce((sum, byte) => sum + byte, 0), 6)}\0 `, 148);

@@ -1,4 +1,4 @@
-// One curve over training time, as SVG.
+// A curve over training time, as SVG.
 
 import { h, setText, svg } from "./dom";
 import { duration } from "./format";
@@ -8,7 +8,7 @@ export interface Point {
   y: number;
 }
 
-/** name: what the curve is; unit: of its values; digits: after the point; better: which way is good. */
+/** name, unit: of the values. digits: after the decimal point. better: whether lower or higher values are better. */
 export interface ChartKind {
   name: string;
   unit: string;
@@ -37,7 +37,7 @@ export class Chart {
     new ResizeObserver(() => this.draw()).observe(this.element);
   }
 
-  /** Show these points, in the order of x, which is seconds. */
+  /** Show points, ordered by x, which is in seconds. */
   update(points: Point[]): void {
     this.points = points;
     this.draw();
@@ -87,7 +87,7 @@ export class Chart {
   }
 }
 
-/** Round values that enclose both, evenly spaced. */
+/** Return evenly spaced round values that enclose both limits. */
 function roundTicks(low: number, high: number): number[] {
   const span = high - low || Math.abs(high) || 1;
   const power = 10 ** Math.floor(Math.log10(span / TICKS));

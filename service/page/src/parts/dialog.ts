@@ -1,8 +1,8 @@
-// Modal dialogs. The browser holds the focus inside and gives it back.
+// Modal dialogs. The browser keeps the focus inside, and restores it afterwards.
 
 import { h, newId } from "./dom";
 
-/** Open a dialog; it is gone from the page once it closes. */
+/** Open a dialog, which is removed from the page when it closes. */
 export function openDialog(title: string, className: string, ...content: HTMLElement[]): HTMLDialogElement {
   const id = newId();
   const dialog = h("dialog", { class: className, "aria-labelledby": id }, h("h2", { id }, title), ...content);
@@ -12,7 +12,7 @@ export function openDialog(title: string, className: string, ...content: HTMLEle
   return dialog;
 }
 
-/** Whether the person wants what can't be undone. */
+/** Ask the user to confirm an action that can't be undone. */
 export function confirmed(title: string, text: string, yes: string): Promise<boolean> {
   return new Promise((resolve) => {
     const form = h(

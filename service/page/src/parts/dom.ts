@@ -1,9 +1,9 @@
-// Elements without a framework.
+// Helpers that create and change elements.
 
 type Child = Node | string | null | undefined | false;
 type Attributes = Record<string, string | number | boolean | null | undefined | EventListener>;
 
-/** An element. Attributes that begin with `on` are listeners; true and false set and leave out an attribute. */
+/** Create an element. Attributes that begin with `on` are listeners. True sets an attribute, and false omits it. */
 export function h<K extends keyof HTMLElementTagNameMap>(
   tag: K,
   attributes: Attributes = {},
@@ -12,7 +12,7 @@ export function h<K extends keyof HTMLElementTagNameMap>(
   return fill(document.createElement(tag), attributes, children);
 }
 
-/** The same for SVG. */
+/** Create an SVG element in the same way. */
 export function svg<K extends keyof SVGElementTagNameMap>(
   tag: K,
   attributes: Attributes = {},
@@ -21,19 +21,19 @@ export function svg<K extends keyof SVGElementTagNameMap>(
   return fill(document.createElementNS("http://www.w3.org/2000/svg", tag), attributes, children);
 }
 
-/** Set an element's text, but only where it changes: screen readers may read it again otherwise. */
+/** Set an element's text only if it changes, because screen readers may otherwise read it again. */
 export function setText(element: Element, text: string): void {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** The element of the page's own HTML with this id. */
+/** Return the element of index.html with this id. */
 export function byId(id: string): HTMLElement {
   const found = document.getElementById(id);
   if (found === null) throw new Error(`index.html has no #${id}`);
   return found;
 }
 
-/** A new id, for labels. */
+/** Return a new id, for labels. */
 export function newId(): string {
   counter += 1;
   return `e${counter}`;

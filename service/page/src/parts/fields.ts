@@ -1,17 +1,17 @@
-// Fields of a form, made of a JSON schema. Left alone, a field says nothing, and what is usual counts.
+// The fields of a form, made from a JSON schema. An untouched field has no value, and the default applies.
 
 import type { SettingSchema, SettingValue } from "../api/types";
 import { h, newId } from "./dom";
 
 export interface Field {
   element: HTMLElement;
-  /** undefined: left alone. */
+  /** The value; undefined if the field is untouched. */
   read(): SettingValue | undefined;
-  /** Show what counts where the field is left alone. */
+  /** Show the default that applies if the field is untouched. */
   setUsual(value: SettingValue | undefined): void;
 }
 
-/** A field for a setting. words: what the names of a choice mean; one that is not there stands for itself. */
+/** Create a field for a setting. words: the labels of a choice's values; a value without one is shown as it is. */
 export function field(label: string, note: string, schema: SettingSchema, words: Record<string, string> = {}): Field {
   const kinds = (schema.anyOf ?? [schema]).filter(({ type }) => type !== "null");
   const optional = kinds.length < (schema.anyOf?.length ?? 1);
@@ -21,7 +21,7 @@ export function field(label: string, note: string, schema: SettingSchema, words:
   return entry(label, note, kind, optional);
 }
 
-/** A control below its label, and what there is to say of it. */
+/** Return a control below its label, with a note. */
 export function labelled(label: string, control: HTMLElement, note = ""): HTMLElement {
   const id = control.id || newId();
   control.id = id;

@@ -1,4 +1,4 @@
-// Numbers as people read them.
+// Numbers in readable form.
 
 const UNITS = ["bytes", "kB", "MB", "GB", "TB"];
 
@@ -36,7 +36,7 @@ export function percent(share: number): string {
   return `${Math.floor(Math.min(Math.max(share, 0), 1) * 100)} %`;
 }
 
-/** A time of today as its clock, of another day as its date too. */
+/** Format a time. Times of other days include the date. */
 export function moment(iso: string): string {
   const date = new Date(iso);
   const clock = date.toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit" });

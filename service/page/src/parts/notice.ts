@@ -1,14 +1,14 @@
-// Errors on the page, and what screen readers are told.
+// Error messages on the page, and announcements for screen readers.
 
 import { byId, h, setText } from "./dom";
 import { explain } from "./words";
 
-/** Have screen readers say something when they next pause. */
+/** Make screen readers say a text at their next pause. */
 export function announce(text: string): void {
   setText(byId("announcer"), text);
 }
 
-/** A box that tells of an error, with its details, and perhaps what to do. */
+/** Return a box with an error, its details, and controls that help. */
 export function errorBox(error: unknown, ...actions: HTMLElement[]): HTMLElement {
   const { headline, detail } = explain(error);
   return h(

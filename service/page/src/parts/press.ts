@@ -1,8 +1,8 @@
-// Buttons whose work takes a while. A button that is disabled would lose the keyboard's focus, so it stays, and is deaf.
+// Buttons whose actions take time. A disabled button would lose the keyboard focus, so presses are ignored instead.
 
 import { h } from "./dom";
 
-/** Do something at each press of a button, but not before the last is done. */
+/** Run an action at each press of a button, unless the previous one still runs. */
 export function onPress(button: HTMLButtonElement, act: () => Promise<void>): void {
   button.addEventListener("click", async () => {
     if (button.ariaDisabled === "true") return;
@@ -15,7 +15,7 @@ export function onPress(button: HTMLButtonElement, act: () => Promise<void>): vo
   });
 }
 
-/** A button that does so. */
+/** Create such a button. */
 export function pressButton(text: string, className: string, act: () => Promise<void>): HTMLButtonElement {
   const button = h("button", { type: "button", class: className }, text);
   onPress(button, act);

@@ -1,8 +1,8 @@
-// One of a few choices, all of which can be seen.
+// A choice between a few visible options.
 
 import { h, newId } from "./dom";
 
-/** A row of radio buttons. */
+/** Create a row of radio buttons. */
 export function radios<T extends string>(legend: string, choices: Partial<Record<T, string>>, chosen: T, change: (value: T) => void): HTMLElement {
   const name = newId();
   const inputs = (Object.entries(choices) as [T, string][]).map(([value, label]) => {

@@ -1,4 +1,4 @@
-// What the service's names mean, in words. A name that is not here is shown as it is.
+// Words for the service's names. A name without words is shown as it is.
 
 import { Problem, Unreachable } from "../api/problem";
 import type { Job } from "../api/types";
@@ -54,7 +54,7 @@ export const PRESETS: Record<string, string> = {
   high: "The most detail, the longest time",
 };
 
-/** The preset after a job's: after a draft the usual one, then the best; null after that. */
+/** Return the preset above a job's: standard after draft, then high; null after that. */
 export function nextPreset(preset: string): string | null {
   const names = Object.keys(PRESETS);
   return names[names.indexOf(preset) + 1] ?? null;
@@ -75,7 +75,7 @@ export const PREVIEWS: Record<string, string> = {
   reflected: "Reflections",
 };
 
-// What went wrong, by the stable code. The service's own sentence, with names and limits, is shown below it.
+// Sentences for errors, by their stable codes. The service's own sentence, with names and limits, is shown below them.
 const TROUBLES: Record<string, string> = {
   key_unknown: "The service does not know this API key.",
   host_refused: "The service does not answer at this address.",
@@ -135,12 +135,12 @@ export const severityWord = (severity: string): string => SEVERITIES[severity] ?
 export const statusWord = (status: string): string => STATUS[status] ?? status;
 export const stageWord = (stage: string): string => STAGES[stage] ?? stage.replaceAll("_", " ");
 
-/** What a code means; null for one that has no words. */
+/** Return the sentence for a code, or null if there is none. */
 export function troubleWord(code: string): string | null {
   return TROUBLES[code] ?? null;
 }
 
-/** What a job does at the moment. */
+/** Return the current activity of a job. */
 export function activity(job: Job): string {
   if (job.cancelling) return "Stopping after a checkpoint";
   if (job.status === "queued") return queueWord(job.queue_position);
@@ -149,14 +149,14 @@ export function activity(job: Job): string {
   return job.step === "train" && job.stage !== null ? `${step}: ${stageWord(job.stage)}` : step;
 }
 
-/** How long it will take, `waited` seconds after the service said so; empty where nobody knows. */
+/** Return the time left, `waited` seconds after the service's estimate; empty if it is unknown. */
 export function remaining(job: Job, waited: number): string {
   if (job.eta_seconds !== null) return timeLeft(Math.max(0, job.eta_seconds - waited));
   if (job.step_eta_seconds === null) return "";
   return `for this step: ${timeLeft(Math.max(0, job.step_eta_seconds - waited))}`;
 }
 
-/** How long a job is kept; empty where nothing limits it. */
+/** Return how long a job is kept; empty if there is no limit. */
 export function stayWord(job: Job): string {
   if (job.pinned) return "kept";
   return job.expires === null ? "" : `will be deleted ${moment(job.expires)}`;
@@ -167,13 +167,13 @@ function queueWord(position: number | null): string {
   return position === 1 ? "Next in the queue" : `Number ${position} in the queue`;
 }
 
-/** An error as a headline, and the details if there are any. */
+/** Return a headline for an error, and its details if there are any. */
 export function explain(error: unknown): { headline: string; detail: string | null } {
   if (error instanceof Unreachable) return { headline: "The service does not answer.", detail: null };
   if (error instanceof Problem) {
     const headline = troubleWord(error.code);
     if (headline === null) return { headline: error.detail, detail: null };
-    // What the service says of a missing key is for programs.
+    // The service's sentence on a missing key is for programs.
     return { headline, detail: error.status === 401 ? null : error.detail };
   }
   return { headline: "This page has a bug. Reload it.", detail: String(error) };

@@ -30,12 +30,12 @@ import { OrbitView } from "./orbit";
 
 const HINT = "Turn: drag or arrow keys. Zoom: wheel, pinch, plus or minus. Choose a camera: click. Reset: Home.";
 const FIRST_DIRECTION = new Vector3(0.4, 0.55, 1).normalize();
-const DEPTH = 0.13; // of a pyramid, where the farthest camera stands at 1
+const DEPTH = 0.13; // of a pyramid; the farthest camera is at distance 1
 const CLICK = 4; // pixels that the pointer may move in a click
 const COLORS: Record<Finding["severity"], string> = { error: "--bad", warning: "--bad", note: "--accent" };
 
 /** A view of cameras. severities: of the worst finding on each; missing: places without photographs; chosen: called
- * with the index of the photograph that a person clicks. Throws where the browser has no WebGL 2. */
+ * with the index of the photograph that a person clicks. Throws if the browser has no WebGL 2. */
 export function openCameras(
   found: Photographs,
   severities: (Finding["severity"] | null)[],
@@ -51,7 +51,7 @@ export class CameraView extends OrbitView {
   private readonly pictures: Mesh<BufferGeometry, MeshBasicMaterial>;
   private readonly highlight: LineSegments<BufferGeometry, LineBasicMaterial>;
   private readonly corners: Vector3[][];
-  private readonly middle = new Vector3(); // between the region's and the cameras'
+  private readonly middle = new Vector3(); // between the centres of the region and of the cameras
 
   constructor(
     renderer: WebGLRenderer,
@@ -129,7 +129,7 @@ export class CameraView extends OrbitView {
   }
 }
 
-/** The frame of the view: the region's middle at the origin, the farthest camera at 1, the photographs' upper side up. */
+/** The frame of the view: the region's centre is the origin, the farthest camera is at 1, and photographs are upright. */
 class Frame {
   readonly scale: number;
   private readonly middle: Vector3;
@@ -153,7 +153,7 @@ class Frame {
   }
 }
 
-/** Apex and corners of a camera's pyramid: upper left, upper right, lower right, lower left. */
+/** Return apex and corners of a camera's pyramid: upper left, upper right, lower right, lower left. */
 function pyramid(photo: Photograph, frame: Frame): Vector3[] {
   const [apex, forward, up] = [frame.place(photo.center), frame.direction(photo.direction), frame.direction(photo.up)];
   const right = new Vector3().crossVectors(forward, up);
@@ -166,7 +166,7 @@ function pyramid(photo: Photograph, frame: Frame): Vector3[] {
   return [apex, ...corners];
 }
 
-/** The lines of a pyramid, two ends each. */
+/** Return the lines of a pyramid, each as two ends. */
 function outline([apex, ...corners]: Vector3[]): Vector3[] {
   return corners.flatMap((corner, i) => [apex!, corner, corner, corners[(i + 1) % 4]!]);
 }
@@ -215,7 +215,7 @@ function places(missing: Vector3[]): Points {
   return new Points(new BufferGeometry().setFromPoints(missing), material);
 }
 
-/** A colour of the page's style. */
+/** Return a colour of the page's style. */
 function themeColor(name: string): Color {
   return new Color(getComputedStyle(document.documentElement).getPropertyValue(name).trim());
 }

@@ -1,4 +1,4 @@
-// The viewer by keyboard: what OrbitControls leaves out.
+// Keyboard control of the viewer, which OrbitControls lacks.
 
 import { Spherical, Vector3 } from "three";
 import type { OrbitControls } from "three/addons/controls/OrbitControls.js";
@@ -13,7 +13,7 @@ const ARROWS: Record<string, [number, number]> = {
   ArrowDown: [0, -1],
 };
 
-/** Let arrows turn, Shift and arrows move, plus and minus zoom, Home go back. radius: of what is looked at. */
+/** Arrows turn, Shift and arrows move, plus and minus zoom, and Home resets the view. radius: of the object. */
 export function byKeyboard(canvas: HTMLElement, controls: OrbitControls, radius: number, home: () => void): void {
   canvas.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;

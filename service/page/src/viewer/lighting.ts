@@ -1,4 +1,4 @@
-// The lights in which the model's material can be looked at, and the controls that choose and turn them.
+// The lights for the model's material, and the controls that choose and turn them.
 
 import { DataTexture, EquirectangularReflectionMapping, LinearFilter, PMREMGenerator, type Texture, type WebGLRenderer } from "three";
 import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
@@ -6,7 +6,7 @@ import { EXRLoader } from "three/addons/loaders/EXRLoader.js";
 import { h, newId } from "../parts/dom";
 import { radios } from "../parts/radios";
 
-/** own: the one of the photographs, from environment.exr. studio: a room with bright panels. */
+/** own: the light of the photographs, from environment.exr. studio: a room with bright panels. */
 export type Light = "own" | "studio";
 
 const LIGHTS: Record<Light, string> = { own: "Own light", studio: "Studio light" };
@@ -14,20 +14,20 @@ const STEP = 5; // degrees
 const BLUR = 0.04; // radians, of the studio's panels
 const QUARTER = Math.PI / 2;
 
-/** An environment to be put into a material, and its angle about the upright axis, in radians. */
+/** An environment for a material, and its angle about the vertical axis in radians. */
 export interface Environment {
   map: Texture;
   angle: number;
 }
 
-/** The choice of a light and the slider that turns it around the object. */
+/** The controls that choose a light and turn it around the object. */
 export class Lighting {
   readonly element: HTMLElement;
   private readonly slider: HTMLInputElement;
   private readonly maps: Partial<Record<Light, Texture>> = {};
   private light: Light;
 
-  /** file: environment.exr, null for none. changed: called when the environment is another. */
+  /** file: environment.exr, null for none. changed: called when the environment changes. */
   constructor(
     private readonly renderer: WebGLRenderer,
     private readonly file: ArrayBuffer | null,
@@ -50,11 +50,11 @@ export class Lighting {
     this.element = h("div", { class: "lighting" }, file !== null && choice, turn);
   }
 
-  /** The light that is chosen. Throws where environment.exr can't be read. */
+  /** Return the chosen light. Throws if environment.exr can't be read. */
   environment(): Environment {
     const map = (this.maps[this.light] ??= this.light === "own" ? ownLight(this.file!) : studioLight(this.renderer));
     const turned = (this.slider.valueAsNumber * Math.PI) / 180;
-    // The file's middle column is the model's +z; three's is +x.
+    // The middle column of the file is +z of the model, but three.js expects +x there.
     return { map, angle: this.light === "own" ? turned - QUARTER : turned };
   }
 }

@@ -1,14 +1,14 @@
-// The mesh of a GLB as MGSR writes it: one node, one material with its maps.
+// The mesh of a GLB that MGSR writes: one node, one material with its maps.
 
 import { DirectionalLight, DoubleSide, Group, HemisphereLight, Mesh, MeshBasicMaterial, MeshNormalMaterial, TextureLoader } from "three";
 import { MeshStandardMaterial, type Material, type Object3D, type Quaternion, type Sphere, type Vector3 } from "three";
 import { GLTFLoader, type GLTFLoaderPlugin, type GLTFParser } from "three/addons/loaders/GLTFLoader.js";
 import type { Environment } from "./lighting";
 
-/** colour: as it is, without lights; lit: the material in an environment; clay: grey under lights, for the shape. */
+/** colour: without lights. lit: the material in an environment. clay: grey under lights, to show the shape. */
 export type Surface = "colour" | "lit" | "clay" | "normals" | "wireframe";
 
-/** How the cameras' frame lies in the scene: turned, then moved by `shift`. */
+/** The transform from the cameras' frame to the scene: a rotation, then a move by `shift`. */
 export interface Placement {
   turn: Quaternion;
   shift: Vector3;
@@ -40,7 +40,7 @@ export class MeshObject {
     this.bounds = mesh.geometry.boundingSphere!.clone().applyMatrix4(mesh.matrixWorld);
   }
 
-  /** Draw the surface so. */
+  /** Draw the surface in this way. */
   show(surface: Surface): void {
     this.mesh.material = this.materials[surface];
     this.lamps.visible = surface === "clay";
@@ -60,19 +60,19 @@ export class MeshObject {
   }
 }
 
-/** The mesh, moved to the scene's origin. Throws where there is none in the file. */
+/** Read the mesh, and move it to the scene's origin. Throws if the file has no mesh. */
 export async function loadMesh(file: ArrayBuffer): Promise<MeshObject> {
   const loader = new GLTFLoader().register(withImages);
   const { scene } = await loader.parseAsync(file, "");
   const mesh = firstMesh(scene);
-  // The node puts the positions into the cameras' frame; near the origin they keep their precision on the card.
+  // The node maps positions to the cameras' frame. Near the origin, they keep their precision on the GPU.
   const shift = mesh.position.clone().negate();
   const turn = mesh.quaternion.clone();
   mesh.position.set(0, 0, 0);
   return new MeshObject(mesh, { turn, shift });
 }
 
-/** Decode maps by <img>: the loader's own way fetches blobs, which the page's security policy forbids. */
+/** Decode maps by <img>, because the loader itself fetches blobs, which the page's security policy forbids. */
 function withImages(parser: GLTFParser): GLTFLoaderPlugin {
   parser.textureLoader = new TextureLoader(parser.options.manager);
   return { name: "images" };

@@ -1,6 +1,6 @@
-// A canvas that shows something in 3D, from a camera that a person moves around it.
+// A canvas that shows an object in 3D, from a camera that the user moves around it.
 //
-// It draws only when something has changed: a page that shows a still object must not heat a phone.
+// It draws only when something has changed, because a page with a still object must not heat a phone.
 
 import { PerspectiveCamera, type WebGLRenderer } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
@@ -8,7 +8,7 @@ import { h, newId } from "../parts/dom";
 import { byKeyboard } from "./keyboard";
 
 const FIELD = 40; // degrees
-const MOST_RATIO = 2; // more pixels than that are not seen, but cost
+const MOST_RATIO = 2; // device pixels per CSS pixel; more cost time without being visible
 
 /** A view with its canvas. name: of the canvas, for screen readers. instructions: how to move. radius: of what is
  * looked at. A subclass makes the element and calls `watch` at the end of its constructor. */
@@ -38,13 +38,13 @@ export abstract class OrbitView {
     byKeyboard(canvas, this.controls, radius, () => this.home());
   }
 
-  /** Put the camera where it begins. */
+  /** Reset the camera to its first place. */
   protected abstract place(): void;
 
-  /** Draw everything at once. */
+  /** Draw immediately. */
   protected abstract drawNow(): void;
 
-  /** Give back what the graphics card holds. */
+  /** Free the memory on the graphics card. */
   leave(): void {
     cancelAnimationFrame(this.due);
     this.watcher.disconnect();
@@ -64,12 +64,12 @@ export abstract class OrbitView {
     this.draw();
   }
 
-  /** The distance from which a ball fills the narrower side of the canvas. */
+  /** Return the distance from which a ball fills the narrower side of the canvas. */
   protected distanceTo(radius: number): number {
     return radius / Math.sin(((FIELD / 2) * Math.PI) / 180) / Math.min(1, this.camera.aspect);
   }
 
-  /** Draw with the next frame, once however often it is asked for. */
+  /** Draw with the next frame. Several calls draw only once. */
   protected draw(): void {
     if (this.due !== 0) return;
     this.due = requestAnimationFrame(() => {
@@ -86,7 +86,7 @@ export abstract class OrbitView {
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
-    if (!this.placed) this.home(); // only now is known how much fits
+    if (!this.placed) this.home(); // the distance depends on the canvas's size, which is known only now
     this.draw();
   }
 }

@@ -4,7 +4,7 @@ import { SparkRenderer, SplatFileType, SplatMesh } from "@sparkjsdev/spark";
 import { Group, Vector3, type WebGLRenderer } from "three";
 import type { Placement } from "./mesh";
 
-// Bytes in which a header ends.
+// The most bytes of a header.
 const LONGEST_HEADER = 1 << 16;
 
 export class SplatObject {
@@ -20,15 +20,15 @@ export class SplatObject {
   }
 }
 
-/** The splats. dirty: called when they should be drawn again, such as when they have been sorted for a new view. Throws
- * where the file names an origin that is none. */
+/** The splats. dirty: called when they should be drawn again, such as when they have been sorted for a new view. Throws if
+ * the origin in the file is invalid. */
 export async function loadSplats(
   renderer: WebGLRenderer,
   file: ArrayBuffer,
   { turn, shift }: Placement,
   dirty: () => void,
 ): Promise<SplatObject> {
-  // Both may be millions long, and their sum is short: numbers of JavaScript keep it, those of the card don't.
+  // Both may be millions long, but their sum is short. JavaScript's float64 keeps it precise; float32 on the GPU does not.
   const position = originOf(file).applyQuaternion(turn).add(shift);
   const spark = new SparkRenderer({ renderer, onDirty: dirty });
   const splats = new SplatMesh({ fileBytes: new Uint8Array(file), fileType: SplatFileType.PLY });

@@ -1,4 +1,4 @@
-// Shows a mesh and splats from the same place: either, or both side by side with a divider to move.
+// Shows a mesh and splats from the same camera: either of them, or both side by side with a movable divider.
 
 import { Scene, Sphere, Vector3, WebGLRenderer } from "three";
 import { h } from "../parts/dom";
@@ -23,7 +23,7 @@ export interface Files {
   environment: ArrayBuffer | null;
 }
 
-/** A viewer of a mesh and of splats. Throws where a file can't be read or the browser has no WebGL 2. */
+/** A viewer of a mesh and of splats. Throws if a file can't be read or the browser has no WebGL 2. */
 export async function openViewer({ mesh, splats, environment }: Files): Promise<Viewer> {
   const renderer = new WebGLRenderer({ antialias: true, alpha: true });
   const surface = await loadMesh(mesh);
@@ -56,7 +56,7 @@ export class Viewer extends OrbitView {
     this.show("mesh");
   }
 
-  /** Bring the keyboard to it. */
+  /** Focus the viewer. */
   focus(): void {
     this.renderer.domElement.focus();
   }
@@ -80,7 +80,7 @@ export class Viewer extends OrbitView {
     return h("div", { class: "toolbar" }, splatFile !== null && shown, surface, home);
   }
 
-  /** Show something; the splats are read when they are first wanted. */
+  /** Show mesh, splats or both. The splats are read when they are first needed. */
   private async choose(shown: Shown, splatFile: ArrayBuffer | null): Promise<void> {
     if (shown !== "mesh" && this.splats === null && splatFile !== null) {
       this.element.setAttribute("aria-busy", "true");

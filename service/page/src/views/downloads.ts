@@ -10,6 +10,7 @@ import { explain } from "../parts/words";
 
 const ABOUT: Record<string, string> = {
   "model.glb": "Textured model for viewers, games and modelling programs, y up",
+  "model_draco.glb": "The same, compressed for the web",
   "model.usdz": "The same for devices by Apple",
   "environment.exr": "The light around the object, to render it in",
   "mesh.obj": "Mesh for older programs",
@@ -20,7 +21,7 @@ const ABOUT: Record<string, string> = {
   "report.json": "The figures of the report, for programs",
 };
 
-/** The section of all files. */
+/** Return the section of all files. */
 export function downloadSection(service: Service, job: Job, artifacts: Artifact[]): HTMLElement {
   const known = Object.keys(ABOUT);
   const first = artifacts.filter(({ name }) => known.includes(name)).sort((a, b) => known.indexOf(a.name) - known.indexOf(b.name));
@@ -60,7 +61,7 @@ function row(service: Service, job: Job, artifact: Artifact): HTMLElement {
   );
 }
 
-/** "vase-model.glb" for the model of the job "vase". */
+/** Return the file name of a download, such as "vase-model.glb" for the model of the job "vase". */
 function fileName(job: Job, artifact: Artifact): string {
   const name = (job.name ?? "mgsr").replace(/[^\p{L}\p{N}._-]+/gu, "_");
   return `${name}-${artifact.name.replaceAll("/", "-")}`;
@@ -69,6 +70,6 @@ function fileName(job: Job, artifact: Artifact): string {
 function save(file: Blob, name: string): void {
   const link = h("a", { href: URL.createObjectURL(file), download: name });
   link.click();
-  // The browser has begun to read it by then.
+  // By then the browser has begun to read the file.
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }

@@ -1,4 +1,4 @@
-// What a dry run says that each preset would take.
+// The estimates of a dry run for each preset.
 
 import type { Estimate } from "../api/types";
 import { h } from "../parts/dom";
@@ -6,14 +6,14 @@ import { bytes, duration } from "../parts/format";
 import { pressButton } from "../parts/press";
 import { PRESETS } from "../parts/words";
 
-/** The presets with their time and memory, each with a button that starts it. */
+/** Return the presets with their time and memory, each with a button that starts it. */
 export function estimateSection(estimates: Estimate[], start: (preset: string) => Promise<void>): HTMLElement {
   return h(
     "section",
     { class: "estimates", "aria-labelledby": "estimate-title" },
-    h("h2", { id: "estimate-title" }, "What it would take"),
+    h("h2", { id: "estimate-title" }, "Time and memory"),
     h("ul", {}, ...estimates.map((estimate) => row(estimate, start))),
-    h("p", { class: "note" }, "On the worker of this dry run. Training ends early where it has converged."),
+    h("p", { class: "note" }, "These estimates are for the worker of this dry run. Training ends early if it has converged."),
   );
 }
 

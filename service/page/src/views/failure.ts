@@ -7,7 +7,7 @@ import { bytes } from "../parts/format";
 import { troubleWord } from "../parts/words";
 import { logSection } from "./log";
 
-/** Why the job ended, and what can be done. */
+/** Return why the job ended, and the remedy. */
 export function failureCard(service: Service, job: Job): HTMLElement {
   return h("div", {}, job.error === null ? cancelled() : failed(job), logSection(service, job.id));
 }

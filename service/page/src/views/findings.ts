@@ -1,10 +1,10 @@
-// What the check of the photographs found, before training.
+// The findings of the check of the photographs before training.
 
 import type { Finding } from "../api/types";
 import { h } from "../parts/dom";
 import { severityWord } from "../parts/words";
 
-const NAMED = 12; // photographs that a finding names at once
+const NAMED = 12; // photographs that a finding names before its list is expanded
 
 export class FindingsSection {
   readonly element = h("section", { class: "findings", "aria-label": "Check of the photographs", hidden: true });

@@ -1,4 +1,4 @@
-// The start: a new reconstruction, and the jobs there are.
+// The home view: a new reconstruction, and the list of jobs.
 
 import type { Service } from "../api/service";
 import type { Options } from "../api/types";
@@ -12,7 +12,7 @@ import { OptionsForm } from "./options";
 import type { UploadTray } from "./upload";
 import type { View } from "./view";
 
-/** The home view. options: of the service; tray: what sends. */
+/** Return the home view. options: the service's options. tray: the sender of uploads. */
 export function homeView(service: Service, options: Options, tray: UploadTray): View {
   const listing = new JobListing(service);
   const picker = new Picker(options, tray);
@@ -31,7 +31,7 @@ export function homeView(service: Service, options: Options, tray: UploadTray): 
   return { title: "MGSR", element, leave: () => listing.leave() };
 }
 
-/** Takes files, and then asks what to make of them. */
+/** The card that takes files, and then shows the options. */
 class Picker {
   readonly element: HTMLElement;
   private readonly zone: HTMLElement;
@@ -76,8 +76,8 @@ class Picker {
       h(
         "p",
         { class: "note" },
-        "Twenty or more photographs from all around, or a video of a walk around the object. Their cameras are found first, ",
-        "unless they come with them, as COLMAP, nerfstudio, Metashape and many others write them. ",
+        "Use twenty or more photographs from all around, or a video of a walk around the object. MGSR first finds the cameras, ",
+        "unless the capture has them from COLMAP, nerfstudio, Metashape or another program. ",
         `Archives: zip, tar, tar.gz or tar.zst. Videos: mp4, mov or webm. Up to ${bytes(this.options.max_upload)}.`,
       ),
       single,

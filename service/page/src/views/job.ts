@@ -1,4 +1,4 @@
-// One job: how it goes, and what came of it.
+// The view of a job: its progress and its results.
 
 import { follow } from "../api/events";
 import { Problem } from "../api/problem";
@@ -18,7 +18,7 @@ import { PhotographsSection } from "./photographs";
 import { ResultsPanel } from "./results";
 import type { View } from "./view";
 
-/** The view of a job. */
+/** Return the view of a job. */
 export function jobView(service: Service, id: string): View {
   const view = new JobView(service, id);
   return { title: "Job · MGSR", element: view.element, leave: () => view.leave() };
@@ -71,7 +71,7 @@ class JobView {
     try {
       await follow(this.service, this.id, watcher, this.stop.signal);
     } catch (error) {
-      // A refused key is asked for anew, and then the view is made anew.
+      // If the key is refused, the page asks for another one and creates the view again.
       if (!(error instanceof Problem && error.status === 401)) this.trouble.replaceChildren(errorBox(error));
     }
   }
@@ -179,13 +179,13 @@ class JobView {
   }
 }
 
-/** Whether two states of a job offer the same buttons. */
+/** Return whether two states of a job have the same buttons. */
 function sameActions(before: Job | null, job: Job): boolean {
   const names = ["status", "cancelling", "pinned", "expires"] as const;
   return before !== null && names.every((name) => before[name] === job[name]);
 }
 
-/** The job's curve with the point that a change brings. */
+/** Return the job's curve with the point of a change appended. */
 function extended(job: Job, change: Partial<Progress>): Job["curve"] {
   const { losses, training_seconds: seconds, stage, iteration } = change;
   const last = job.curve.at(-1);

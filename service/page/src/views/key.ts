@@ -1,4 +1,4 @@
-// Asks for the API key.
+// The dialog that asks for the API key.
 
 import type { Service } from "../api/service";
 import { openDialog } from "../parts/dialog";

@@ -1,5 +1,5 @@
-// The light of a view, taken apart: what shows the object's own colour, what its surface mirrors, and their sum; and the
-// own colour under even light, where the photographs were taken with a flash.
+// The light split of a view: the object's own colour, the reflections, and their sum. If the photographs were taken with
+// a flash, also the own colour under even light.
 
 import type { Service } from "../api/service";
 import type { Artifact, Job } from "../api/types";
@@ -15,7 +15,7 @@ const STOPS = [
   { at: 100, name: "Reflections", note: "Light from gloss and lamps, times a learned weight." },
 ];
 
-/** Shows one view at a time; the slider goes from own colour (first under even light) over the sum to the reflections. */
+/** Shows one view at a time. A slider fades from own colour, under even light first, over the sum to reflections. */
 export class LightSplit {
   readonly element: HTMLElement;
   private readonly canvas = h("canvas", { role: "img" });
@@ -26,7 +26,7 @@ export class LightSplit {
   private layers: Layers | null = null;
   private left = false;
 
-  /** The section; null where the job's light was not split. */
+  /** Return the section, or null if the job's light was not split. */
   static of(service: Service, job: Job, artifacts: Artifact[]): LightSplit | null {
     const held = new Map(artifacts.map((artifact) => [artifact.name, artifact]));
     const views = artifacts
@@ -117,13 +117,13 @@ export class LightSplit {
   }
 }
 
-/** What is shown between two stops, in words. */
+/** Describe the picture between two stops in words. */
 function between(at: number): string {
   if (at < -100) return `Own colour, even light at ${-100 - at} %`;
   return `Own colour and reflections, ${at < 0 ? `reflections at ${100 + at} %` : `own colour at ${100 - at} %`}`;
 }
 
-/** Pictures of one view, of one size. reflected: times the weight, to be added; even: null where there was no flash. */
+/** Pictures of a view, in the same size. reflected: weighted reflected light, to be added. even: null without a flash. */
 interface Layers {
   even: ImageBitmap | null;
   full: ImageBitmap;
@@ -131,7 +131,7 @@ interface Layers {
   reflected: HTMLCanvasElement;
 }
 
-/** Draw the own colour under even light at -2, as it is at -1, the sum at 0, the reflections at 1, and what lies between. */
+/** Draw a blend: own colour under even light at -2, own colour at -1, the sum at 0, and the reflections at 1. */
 function paint(context: CanvasRenderingContext2D, layers: Layers, at: number): void {
   const { width, height } = context.canvas;
   context.globalCompositeOperation = "source-over";
@@ -144,7 +144,7 @@ function paint(context: CanvasRenderingContext2D, layers: Layers, at: number): v
   context.globalAlpha = Math.min(1, 1 - at);
   context.drawImage(layers.transmitted, 0, 0);
   if (at < -1 && layers.even !== null) {
-    // A part of the one taken away, and as much of the other added: edges keep their opacity.
+    // Removing a share of one picture and adding the same share of the other keeps the opacity of edges.
     context.globalCompositeOperation = "destination-out";
     context.globalAlpha = -1 - at;
     context.fillRect(0, 0, width, height);
@@ -155,13 +155,13 @@ function paint(context: CanvasRenderingContext2D, layers: Layers, at: number): v
   context.globalCompositeOperation = "lighter";
   context.globalAlpha = Math.min(1, 1 + at);
   context.drawImage(layers.reflected, 0, 0);
-  // Light alone shows only in the dark: the tile behind it fades with the own colour.
+  // Reflected light alone is visible only on black, so the tile behind it fades with the own colour.
   context.globalCompositeOperation = "destination-over";
   context.globalAlpha = Math.max(0, at);
   context.fillRect(0, 0, width, height);
 }
 
-/** The reflected light times its weight, opaque only as far as it is bright: the tile shows through where there is none. */
+/** Return the weighted reflected light, as opaque as it is bright, so that the tile shows through elsewhere. */
 function weighted(reflected: ImageBitmap, weight: ImageBitmap): HTMLCanvasElement {
   const canvas = h("canvas", { width: reflected.width, height: reflected.height });
   const context = canvas.getContext("2d", { willReadFrequently: true })!;

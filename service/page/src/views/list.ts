@@ -37,7 +37,7 @@ export class JobListing {
     void this.refresh();
   }
 
-  /** Keep it up to date no longer. */
+  /** Stop updating the list. */
   leave(): void {
     this.left = true;
     clearTimeout(this.timer);
@@ -82,7 +82,7 @@ export class JobListing {
       this.rows.set(job.id, row);
     }
     row.update(job);
-    // Moving an element takes the focus from it.
+    // An element that is moved loses the focus.
     if (this.list.children[place] !== row.element) this.list.insertBefore(row.element, this.list.children[place] ?? null);
   }
 }

@@ -1,4 +1,4 @@
-// A job that waits or runs.
+// A waiting or running job.
 
 import { isAbort } from "../api/problem";
 import type { Service } from "../api/service";
@@ -20,7 +20,7 @@ export class LivePanel {
   private readonly gallery: PreviewGallery;
   private shown: Job;
   private since = performance.now();
-  // The time left runs down also while the service has nothing new to say.
+  // The time left counts down even if the service sends nothing new.
   private readonly clock = window.setInterval(() => this.showLeft(), 1000);
 
   constructor(service: Service, job: Job) {
@@ -78,7 +78,7 @@ function points(curve: CurvePoint[], name: "loss" | "psnr"): Point[] {
   return curve.filter((row) => row[name] !== null).map((row) => ({ x: row.seconds, y: row[name]! }));
 }
 
-// The worker uploads a picture a moment after it has told of it.
+// The worker uploads a picture shortly after it has announced it.
 const FIRST_LOOK = 1200;
 const NEXT_LOOK = 2000;
 const LOOKS = 5;
@@ -132,7 +132,7 @@ class PreviewTile {
     URL.revokeObjectURL(this.picture.src);
   }
 
-  /** Show the picture made after so many iterations of a stage. */
+  /** Show the picture of an iteration of a stage. */
   update(stage: string | null, iteration: number): void {
     const wanted = `${stage} ${iteration}`;
     if (wanted === this.shown) return;
@@ -147,7 +147,7 @@ class PreviewTile {
     }, pause);
   }
 
-  /** Load the picture; whether there was a new one. */
+  /** Load the picture, and return whether it is new. */
   private async load(): Promise<boolean> {
     try {
       const found = await this.service.preview(this.job, this.name, this.version);

@@ -1,10 +1,10 @@
-// The log, fetched once somebody opens it.
+// The log, which is fetched when the user opens it.
 
 import type { Service } from "../api/service";
 import { h } from "../parts/dom";
 import { explain } from "../parts/words";
 
-/** A section that opens to the job's log. */
+/** Return a section that expands to the job's log. */
 export function logSection(service: Service, job: string): HTMLElement {
   const text = h("pre", { tabindex: 0, role: "region", "aria-label": "Log" });
   const section = h("details", { class: "log" }, h("summary", {}, "Log"), text);

@@ -1,18 +1,18 @@
-// The form for a job's options, made of what `GET /options` says: what a newer service knows shows up by itself.
+// The form for a job's options, made from `GET /options`, so that the settings of a newer service appear by themselves.
 
 import type { JobOptions, Options, SettingSchema, SettingValue } from "../api/types";
 import { h, newId } from "../parts/dom";
 import { field, labelled, select, type Field } from "../parts/fields";
 import { METHODS, PRESETS } from "../parts/words";
 
-/** The settings that people often want, and what they are called. What the service does not know is left out. */
+/** Frequently used settings, with labels. Settings that the service does not know are omitted. */
 const OFTEN: Record<string, { label: string; note: string; words?: Record<string, string> }> = {
   time_budget: { label: "Time budget, seconds", note: "The run chooses its settings to end near this time." },
   "data.max_side": { label: "Longest image side, pixels", note: "Larger photographs are reduced to this size." },
   "data.masks": {
     label: "Masks",
     note: "What the masks of photographs mean.",
-    words: { auto: "Found out", object: "White is the object", ignore: "Black is ignored", off: "Not used" },
+    words: { auto: "Detected automatically", object: "White is the object", ignore: "Black is ignored", off: "Not used" },
   },
   "train.background": {
     label: "Background",
@@ -28,7 +28,7 @@ const OFTEN: Record<string, { label: string; note: string; words?: Record<string
   "mesh.close_holes": { label: "Close holes", note: "The mesh also covers places that no photograph shows." },
   "output.texture": { label: "Texture of the model, pixels a side", note: "Without it, as fine as the photographs." },
 };
-/** What the form asks in its own way. */
+/** The settings for which the form has special controls. */
 const ASKED = new Set(["name", "preset", "method", "settings"]);
 
 export class OptionsForm {
@@ -51,19 +51,19 @@ export class OptionsForm {
       presetChoice(Object.keys(options.presets)),
       h("details", {}, h("summary", {}, "More settings"), this.often(), this.every()),
     );
-    // Before the browser brings the keyboard to the first wrong field, which it can't while that is not to be seen.
+    // This runs before the browser focuses the first invalid field, which it can't do while the field is hidden.
     this.element.addEventListener("invalid", (event) => reveal(event.target as HTMLElement), true);
     this.showUsual();
   }
 
-  /** What was chosen. */
+  /** Return the chosen options. */
   read(): JobOptions {
     const preset = this.preset();
     const settings = chosen(this.settings);
     return { name: this.name.value.trim() || null, preset, method: this.method.value, settings, ...chosen(this.others) };
   }
 
-  /** Bring the keyboard to it. */
+  /** Focus the form. */
   focus(): void {
     this.name.focus();
     this.name.select();
@@ -79,7 +79,7 @@ export class OptionsForm {
     return h("div", { class: "fields" }, labelled("Method", this.method), ...fields);
   }
 
-  /** Everything else, by its own name, with a field that finds it; filled when it is first opened. */
+  /** Return all other settings by name, with a search field. The section is filled when it is first opened. */
   private every(): HTMLElement {
     const place = h("div", { class: "every" });
     const details = h("details", {}, h("summary", {}, "Every setting"), place);
@@ -129,7 +129,7 @@ export class OptionsForm {
     return made.element;
   }
 
-  /** What counts where a field is left alone depends on preset and method. */
+  /** Show the defaults of untouched fields, which depend on preset and method. */
   private showUsual(): void {
     const rows = [this.options.presets[this.preset()], this.options.methods[this.method.value]];
     for (const [key, made] of this.settings) {
@@ -154,7 +154,7 @@ function filter(groups: HTMLElement[], text: string): void {
   }
 }
 
-/** Show an element, whatever it lies in. */
+/** Show an element by opening all sections around it. */
 function reveal(element: HTMLElement): void {
   for (let one: HTMLElement | null = element; one !== null; one = one.parentElement) {
     one.hidden = false;
@@ -170,7 +170,7 @@ function presetChoice(names: string[]): HTMLElement {
   return h("fieldset", { class: "choices" }, h("legend", {}, "Quality"), ...choices);
 }
 
-/** The schema with its `$ref`, which says what a choice is, put in. */
+/** Return the schema with its `$ref` resolved, which describes a choice. */
 function resolved(schema: SettingSchema, definitions: Record<string, SettingSchema> = {}): SettingSchema {
   const name = schema.$ref?.split("/").at(-1);
   return name === undefined ? schema : { ...definitions[name], ...schema };

@@ -1,4 +1,4 @@
-// The photographs that were checked: as thumbnails, with the found masks, and their cameras in three dimensions.
+// The checked photographs: thumbnails, found masks, and their cameras in 3D.
 
 import type { Service } from "../api/service";
 import type { Finding, Job, Photograph, Photographs } from "../api/types";
@@ -49,7 +49,7 @@ export class PhotographsSection {
     for (const { url } of this.sheets.values()) URL.revokeObjectURL(url);
   }
 
-  /** A job that has been checked has photographs; the masks come in a later step. */
+  /** Update the section. A job has photographs once it is checked; the masks come in a later step. */
   update(job: Job): void {
     this.findings = job.findings ?? [];
     this.element.hidden = job.findings === null;
@@ -100,7 +100,7 @@ export class PhotographsSection {
     return h("li", {}, button);
   }
 
-  /** The severity of the worst finding that names a photograph. */
+  /** Return the severity of the worst finding that names a photograph. */
   private severity(name: string): Finding["severity"] | null {
     return this.findings.find(({ photographs }) => photographs.includes(name))?.severity ?? null;
   }
@@ -118,7 +118,7 @@ export class PhotographsSection {
     this.grid.before(choices);
   }
 
-  /** Show the pictures of a sheet, everywhere. */
+  /** Show the pictures of a sheet in thumbnails and cameras. */
   private paint(name: SheetName): void {
     const sheet = this.sheets.get(name);
     if (sheet === undefined || this.held === null) return;
@@ -173,7 +173,7 @@ export class PhotographsSection {
   }
 }
 
-/** The position of a background of so many parts, percent, at which a part shows. */
+/** Return the background position, in percent, that shows one of a number of parts. */
 function share(part: number, parts: number): number {
   return parts > 1 ? (100 * part) / (parts - 1) : 0;
 }

@@ -7,7 +7,7 @@ import { h } from "../parts/dom";
 import { errorBox } from "../parts/notice";
 import { pressButton } from "../parts/press";
 
-/** A button that opens the report. */
+/** Return a button that opens the report. */
 export function reportButton(service: Service, job: Job, artifact: Artifact): HTMLElement {
   const place = h("div");
   const button = pressButton("Open the report", "", async () => {

@@ -1,4 +1,4 @@
-// What came of a job.
+// The results of a job.
 
 import type { Service } from "../api/service";
 import type { Artifact, Job } from "../api/types";

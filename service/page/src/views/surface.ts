@@ -1,4 +1,4 @@
-// The mesh and the splats in three dimensions. The viewer is large, so it is loaded when it is asked for.
+// The mesh and the splats in 3D. The viewer is large, so it is loaded on request.
 
 import type { Service } from "../api/service";
 import type { Artifact, Job } from "../api/types";
@@ -35,7 +35,7 @@ export class SurfaceSection {
     this.viewer?.leave();
   }
 
-  /** A picture, and a button that loads the viewer. */
+  /** Show a picture, and a button that loads the viewer. */
   private invite(): void {
     const mesh = this.find("model.glb");
     const splats = this.find(...SPLATS);

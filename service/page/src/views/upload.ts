@@ -1,4 +1,4 @@
-// The upload under way. It belongs to the whole page, so it goes on while the person looks at other jobs.
+// The current upload. It belongs to the whole page, so it continues while the user looks at other jobs.
 
 import { isAbort } from "../api/problem";
 import type { Service } from "../api/service";
@@ -12,7 +12,7 @@ import { announce, errorBox } from "../parts/notice";
 export class UploadTray {
   private running: AbortController | null = null;
 
-  /** place: where the upload shows; arrived: called with the job that was made. */
+  /** place: the element that shows the upload. arrived: called with the new job. */
   constructor(
     private readonly service: Service,
     private readonly place: HTMLElement,
@@ -23,12 +23,12 @@ export class UploadTray {
     });
   }
 
-  /** Whether an upload is under way. */
+  /** Return whether an upload is in progress. */
   get busy(): boolean {
     return this.running !== null;
   }
 
-  /** Send a capture; trouble is shown, with a way to go on. */
+  /** Send a capture. Errors are shown with a button that continues. */
   async start(capture: Capture, options: JobOptions): Promise<void> {
     await this.send(capture, new Upload(this.service, capture, options));
   }
@@ -54,7 +54,7 @@ export class UploadTray {
     const bar = h("progress", { max: 1, value: 0, "aria-label": "Upload" });
     const words = h("span", { class: "note" });
     const startedAt = performance.now();
-    let first: number | null = null; // share that an earlier page has sent
+    let first: number | null = null; // the share that was sent before a reload of the page
     this.place.replaceChildren(
       h(
         "div",
@@ -64,7 +64,7 @@ export class UploadTray {
         h("button", { type: "button", onclick: () => stop.abort() }, "Cancel upload"),
       ),
     );
-    // The button that had the keyboard's focus is gone. Not to the new one: a second Enter would cancel.
+    // The focused button is gone. The focus must not go to the new button, because a second Enter would cancel.
     this.place.querySelector<HTMLElement>(".tray")!.focus();
     return (sent) => {
       const share = Math.min(sent / capture.archive.size, 1);

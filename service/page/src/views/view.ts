@@ -1,9 +1,9 @@
-// What the router shows: one view at a time.
+// The interface of the views, of which the router shows one at a time.
 
 export interface View {
   /** The browser tab's title. */
   title: string;
   element: HTMLElement;
-  /** End what the view does in the background. */
+  /** Stop the view's background work. */
   leave(): void;
 }

@@ -36,8 +36,8 @@ def observed(normals: np.ndarray, light: Callable[[np.ndarray], np.ndarray]) -> 
     )
     weights = np.where(cosines > 0.5, cosines, 0)
     numbers = np.broadcast_to(np.arange(VIEWS), weights.shape)
-    single = [array.astype(np.float32) for array in (eyes, np.ones_like(weights), brightness, weights)]
-    return Observations(single[0], single[1], single[2], single[3], numbers)
+    eyes, brightness, weights = (array.astype(np.float32) for array in (eyes, brightness, weights))
+    return Observations(eyes, np.ones_like(weights), brightness, weights, numbers)
 
 
 def lamps(directions: np.ndarray) -> np.ndarray:

@@ -35,9 +35,6 @@ def normals_from_environment(
 ) -> TargetNormals:
     """Estimate the normals of a mesh's P vertices from one environment map that they all mirror.
 
-    The target normals are the means of the normals that explain the photographs and of the mesh's own, weighted by
-    their variances.
-
     normals [P,3]: the mesh's unit normals. laplacian [P,P]: its uniform Laplacian (`Mesh.laplacian`). reach: the number
     of edges over which the costs of neighbours are pooled. still [P] in 0..1: 0 lets a normal tilt fully, 1 keeps it.
     """

@@ -56,11 +56,10 @@ def normals_from_environment(
 
     coarse = best(own, search.max_tilt, search.step, None)
     fine = best(coarse.normals, search.step, search.fine_step, coarse.mean_cost)
+    target = normals + (1 - still)[:, None] * (fine.normals - own)
+    target /= np.linalg.norm(target, axis=1, keepdims=True).clip(1e-9)
     weights = diffuse(observations.weights.sum(axis=1)[:, None], laplacian, reach)[:, 0]
     variance = 2 * coarse.spread / np.maximum(weights, 1e-6)
-    gain = search.prior_deviation**2 / (search.prior_deviation**2 + variance)
-    target = normals + (gain * (1 - still))[:, None] * (fine.normals - own)
-    target /= np.linalg.norm(target, axis=1, keepdims=True).clip(1e-9)
     enough = observations.counts >= search.min_observations
     return TargetNormals(target, np.where(enough, 1 / (1 + variance / search.half_confidence**2), 0))
 

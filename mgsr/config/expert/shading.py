@@ -103,8 +103,6 @@ class EnvironmentNormalOptions(Options):
     convex: NotNegative = 0.12  # radians per pixel; convex edges that bend more are kept, because pixels show too
     # little of each side
     half_confidence: Positive = 4.0  # degrees; standard deviation of a normal at which the confidence is 0.5
-    prior_deviation: Positive = 6.0  # degrees; standard deviation of the surface's own normals. The target normals are
-    # the mean of both, weighted by their variances
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ class ObjectSearchOptions(Options):
 
     side: Count = 480  # pixels; longer side of the small photographs, for training and for the search
     fine_side: Count = 960  # pixels; longer side of the photographs for the final masks
-    iterations: Count = 500  # iterations of the training
+    iterations: Count = 800  # iterations of the training
     rounds: Count = 3  # rounds of refining masks, hull and surfels
     first_dissent: Share = 0.1  # share of the masks that may exclude a place of the hull, in the first round
     last_dissent: Share = 0.06  # share of the masks that may exclude a place of the hull, in the last round

@@ -326,7 +326,7 @@ def npy(header: str) -> bytes:
             npy("{'descr': '|O', 'fortran_order': False, 'shape': (1,), }"),
             "damaged: expected an array of numbers, got object",
         ),
-        (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (0, 17), }"), r"got shape \[0, 17\]"),
+        (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (0, 17), }"), r"got an array of shape \[0, 17\]"),
     ],
 )
 def test_llff_damaged_arrays(tmp_path: Path, content: bytes, message: str) -> None:

@@ -11,7 +11,11 @@ import numpy as np
 from mgsr.errors import MgsrError
 from mgsr.geometry.mesh import Mesh
 
-POSITION_BITS, NORMAL_BITS, UV_BITS = 14, 10, 14  # of quantisation; 14 bits are half a texel of a map of 8192
+POSITION_BITS, NORMAL_BITS, UV_BITS = (
+    14,
+    10,
+    14,
+)  # of quantisation; 14 bits are half a texel of a map with 8192 texels a side
 LEVEL = 7  # of compression, 0..10, as in the tools of glTF
 _NAMES = {0: "POSITION", 1: "NORMAL", 3: "TEXCOORD_0"}  # Draco's attribute types
 
@@ -32,10 +36,7 @@ class DracoMesh:
 
 
 def require_draco() -> None:
-    """Check that the optional package DracoPy is installed, so that a run fails before training.
-
-    Raises MgsrError if it is not.
-    """
+    """Check that the optional package DracoPy is installed. Raises MgsrError if it is not."""
     if find_spec("DracoPy") is None:
         raise MgsrError("output.draco: compressing the model needs the package DracoPy: pip install 'mgsr[draco]'")
 

@@ -117,16 +117,20 @@ def webp_bytes(picture: np.ndarray, quality: int) -> bytes:
     """Return a picture [H,W] or [H,W,3] uint8 as the bytes of a WebP file; quality: 1..100, above 100 lossless."""
     import cv2  # imported here, because training needs no OpenCV
 
-    shown = np.ascontiguousarray(picture[..., ::-1] if picture.ndim == 3 else picture)
-    _, data = cv2.imencode(".webp", shown, [cv2.IMWRITE_WEBP_QUALITY, quality])
-    return data.tobytes()
+    return _encoded(picture, ".webp", [cv2.IMWRITE_WEBP_QUALITY, quality])
 
 
 def png_bytes(picture: np.ndarray) -> bytes:
     """Return a picture [H,W] or [H,W,3] uint8 as the bytes of a PNG file."""
+    return _encoded(picture, ".png", [])
+
+
+def _encoded(picture: np.ndarray, kind: str, parameters: list[int]) -> bytes:
+    """Return a picture [H,W] or [H,W,3] uint8 as the bytes of a file whose name ends in `kind`."""
     import cv2  # imported here, because training needs no OpenCV
 
-    _, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1] if picture.ndim == 3 else picture))
+    shown = np.ascontiguousarray(picture[..., ::-1] if picture.ndim == 3 else picture)
+    _, data = cv2.imencode(kind, shown, parameters)
     return data.tobytes()
 
 

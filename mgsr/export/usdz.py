@@ -18,10 +18,7 @@ _MAPS = ("base_color", "normal", "occlusion")
 
 
 def require_usd() -> None:
-    """Check that the optional package usd-core is installed, so that a run fails before training.
-
-    Raises MgsrError if it is not.
-    """
+    """Check that the optional package usd-core is installed. Raises MgsrError if it is not."""
     if find_spec("pxr") is None:
         raise MgsrError("output.usdz: writing USD needs the package usd-core: pip install 'mgsr[usd]'")
 

@@ -18,6 +18,7 @@ from mgsr.data.exposure import with_exposures
 from mgsr.data.scene import Exposures, Scene, Similarity
 from mgsr.data.up_direction import up_direction
 from mgsr.errors import MgsrError, in_short
+from mgsr.export.draco import require_draco
 from mgsr.export.environment_map import StoredEnvironmentMap, load_environment_map, write_environment_map
 from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.export.flash import load_flash, write_flash
@@ -28,7 +29,7 @@ from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number, read_origin
 from mgsr.export.radiance_map import write_radiance_map
 from mgsr.export.renders import write_view
 from mgsr.export.splats import load_splats, write_splats
-from mgsr.export.usdz import write_usdz
+from mgsr.export.usdz import require_usd, write_usdz
 from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.reflector import Reflector
@@ -62,6 +63,17 @@ from mgsr.report.pictures import ReportPictures
 from mgsr.shading.lighting import Lighting, add_irradiance
 
 COLOR_QUALITY, MAP_QUALITY = 90, 101  # of the compressed model's WebP maps, 1..100; 101 is lossless
+
+
+def require_packages(output: OutputConfig) -> None:
+    """Check that the optional packages of the requested files are installed, so that a run fails before training.
+
+    Raises MgsrError if one is not.
+    """
+    if output.usdz:
+        require_usd()
+    if output.draco:
+        require_draco()
 
 
 def clear_reports(out: Path) -> None:

@@ -8,9 +8,7 @@ from pathlib import Path
 from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
-from mgsr.export.draco import require_draco
 from mgsr.export.far_origin import about_origin, origin_of_frame
-from mgsr.export.usdz import require_usd
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.metrics.truth import TrueSurface
@@ -48,10 +46,7 @@ def run_scene(
     Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, GpuError, and Cancelled once
     `control.should_stop` returns True. The checkpoint then holds the training's state.
     """
-    if config.output.usdz:
-        require_usd()
-    if config.output.draco:
-        require_draco()
+    result_files.require_packages(config.output)
     if isinstance(given, Scene):
         config = as_read(given, config)
     chosen, resume = pick_device(device), control.resume

@@ -7,8 +7,6 @@ from typing import Any
 
 from mgsr.config import Config
 from mgsr.data.scene import Scene
-from mgsr.export.draco import require_draco
-from mgsr.export.usdz import require_usd
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.device import pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
@@ -20,6 +18,7 @@ from mgsr.pipeline.result_files import (
     at_known_exposures,
     read_mesh,
     read_models,
+    require_packages,
     with_irradiance,
     write_mesh,
     write_renders,
@@ -36,10 +35,7 @@ def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> R
 
     Raises ConfigError, SceneError, GpuError, MeshError, and MgsrError if there are no splats.
     """
-    if config.output.usdz:
-        require_usd()
-    if config.output.draco:
-        require_draco()
+    require_packages(config.output)
     chosen = pick_device(device)
     scene = with_found_object(out, at_known_exposures(out, load_again(path, out, config)))
     # The run compared its surface with the starting surface, which the same seed reproduces.

@@ -171,7 +171,7 @@ class BackgroundSources:
         return np.asarray(camera.center + rays * depth[..., None], np.float32)
 
     def _seen(self, index: int, places: np.ndarray, allowed: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Sample a photograph at points [P,3] float32 of the scene.
+        """Sample a photograph at points [P,3] of the scene.
 
         allowed [H,W] uint8: 255 where the photograph may be sampled; None allows all of it. Returns the colours [P,3]
         sRGB 0..1, and which of the points it shows in an allowed place, [P] bool.

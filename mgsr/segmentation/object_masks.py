@@ -153,6 +153,7 @@ class _Search:
         self.silhouettes: list[np.ndarray] | None = None
         columns = _columns(some_surfels(self._model, first.standing), first.plane, options.search.copies)
         self.masks = [ndimage.binary_fill_holes(_covered(columns, camera)) for camera in self._cameras]
+        # The pixels that are not background, the surfels' sums of blending weights, and the shares in such pixels.
         self._blocked = self._not_background()
         self._weights, hidden = self._lifted([np.ones_like(mask) for mask in self._blocked], self._blocked)
         self._weights = self._weights.clip(1e-6)

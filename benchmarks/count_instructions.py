@@ -1,4 +1,4 @@
-"""Counts of the instructions that the rasterizers' kernels take on a scene, from their machine code, without a card.
+"""Counts of the instructions that the rasterizers' kernels take on a scene, from their machine code, without a GPU.
 
     python -m benchmarks.count_instructions [--arch sm_90] [--gsplat FOLDER] [--scene FILE.npz] [--keep FILE]
 
@@ -38,8 +38,8 @@ from mgsr.native.cuda.compiler import compile_family
 GSPLAT = "gsplat==1.5.3"
 SPLAT_NAMES = ("means", "quats", "scales", "opacities", "rgb")
 # By compute capability: warps an SM holds, and KiB of its shared memory.
-CARDS = {"75": (32, 64), "80": (64, 164), "86": (48, 100), "89": (48, 100), "90": (64, 228), "100": (64, 228)}
-CARDS["120"] = (48, 100)
+GPUS = {"75": (32, 64), "80": (64, 164), "86": (48, 100), "89": (48, 100), "90": (64, 228), "100": (64, 228)}
+GPUS["120"] = (48, 100)
 REGISTERS, REGISTER_GRAIN, RESERVED = 65536, 8, 1  # a SM's; a thread's are rounded up to this; KiB a block more
 BLOCK_WARPS = {"project": 4, "gradients": 4, "blend": 8, "pixels": 8, "backward": 2, "rasterize": 8}
 
@@ -67,7 +67,7 @@ class Kernel:
 
     def warps(self, arch: str) -> int:
         """Return how many of the kernel's warps an SM holds."""
-        most, shared = CARDS[arch.removeprefix("sm_")]
+        most, shared = GPUS[arch.removeprefix("sm_")]
         block = next(warps for part, warps in BLOCK_WARPS.items() if part in self.name)
         registers = -(-self.taken.registers // REGISTER_GRAIN) * REGISTER_GRAIN
         kib = self.taken.shared / 1024 + RESERVED
@@ -257,7 +257,7 @@ def report(args: argparse.Namespace) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--arch", default="sm_90", choices=[f"sm_{card}" for card in CARDS])
+    parser.add_argument("--arch", default="sm_90", choices=[f"sm_{gpu}" for gpu in GPUS])
     parser.add_argument("--scene", type=Path, help="a folder of splats and a view, as in shared/data/raster")
     parser.add_argument("--gsplat", type=Path, help="the folder that holds gsplat's source, gsplat/")
     parser.add_argument("--keep", type=Path, help="the Markdown file to write")

@@ -1,4 +1,4 @@
-"""Trainings on a card of scenes that were packed elsewhere, whose splats come home for their meshes.
+"""Trainings on a GPU of scenes that were packed elsewhere, whose splats come home for their meshes.
 
     python -m benchmarks.cuda_training pack ../shared/data/scenes/spot_soft spot_soft.npz --preset standard
     python -m benchmarks.cuda_training pack-all FOLDER [--data ../shared/data]

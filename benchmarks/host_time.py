@@ -1,8 +1,8 @@
-"""The cost of a training iteration on a card for the host, measured without a card.
+"""The cost of a training iteration on a GPU for the host, measured without a GPU.
 
     python benchmarks/host_time.py [--iterations 100] [--reflection shared|both|own|off] [--operations] [--profile]
 
-Kernels that do nothing stand in for the card's, and images are tiny, so that what is left is Python, torch's dispatch
+Kernels that do nothing stand in for the GPU's, and images are tiny, so that what is left is Python, torch's dispatch
 and the packing of parameters: the whole iteration, with the guard, the optimisers and the statistics. Each stage's row
 is the median processor time of an iteration, its launches, and the torch operations that are no views and make no
 memory. Of each launch the driver's own share is missing.

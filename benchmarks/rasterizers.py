@@ -1,9 +1,9 @@
-"""Time of both rasterizers on a card, beside gsplat's in the same run where that can be imported.
+"""Time of both rasterizers on a GPU, beside gsplat's in the same run where that can be imported.
 
     python -m benchmarks.rasterizers [--sizes 100k/800 20k/256 500k/1080p 1M/1080p] [--runs 20] [--ours] [--json FILE]
 
 Each row is one size and mode. It has the median milliseconds of forward, of backward and of both through autograd, by
-the card's own clock, and the peak memory. The modes of one size alternate.
+the GPU's own clock, and the peak memory. The modes of one size alternate.
 
 `3d` and `2d` send a gradient to the colour alone, and so do `gsplat 3d` and `gsplat 2d`. `dual` is the 3D branch's two
 opacities with weight and depth in one pass. `gsplat 3d twice` is what two passes of gsplat need for the two colours.
@@ -221,9 +221,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="a file that receives each row as a line of JSON")
     args = parser.parse_args()
     if args.device == "cuda" and not torch.cuda.is_available():
-        raise SystemExit("torch finds no usable card; --device cpu times the CPU")
+        raise SystemExit("torch finds no usable GPU; --device cpu times the CPU")
     without = "" if gsplat is not None and not args.ours else "; without gsplat there are no ratios"
-    print(f"\n{card(args.device)}, medians of {args.runs}{without}\n", *HEAD, sep="\n", flush=True)
+    print(f"\n{gpu(args.device)}, medians of {args.runs}{without}\n", *HEAD, sep="\n", flush=True)
     failures = dict[str, str]()
     for size in args.sizes:
         try:
@@ -240,7 +240,7 @@ def main() -> None:
         raise SystemExit(1)
 
 
-def card(device: str) -> str:
+def gpu(device: str) -> str:
     """Return the name of the device that is measured."""
     return torch.cuda.get_device_name() if device == "cuda" else "the CPU"
 

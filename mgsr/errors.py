@@ -54,13 +54,13 @@ class TrainingError(MgsrError):
 
 
 class GpuError(MgsrError):
-    """The graphics card can't be used: no or an old driver, an unsupported card, too little memory."""
+    """The GPU can't be used: no or an old driver, an unsupported GPU, too little memory."""
 
     code = "gpu_failed"
 
 
-class LostCardError(GpuError):
-    """The card failed and answers nothing any more in this process.
+class LostGpuError(GpuError):
+    """The GPU failed and answers nothing any more in this process.
 
     Even taking down torch's tensors ends the process with an abort, so that it is best left by `os._exit`.
     """

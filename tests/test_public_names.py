@@ -36,7 +36,7 @@ NAMES = {
     *("Similarity", "ReportData", "StepReport", "ResultPaths"),
     *("Scene", "View", "Camera", "Config", "DataConfig"),
     *("MgsrError", "SceneError", "MissingPhotoError", "ArchiveError", "ConfigError", "TensorError", "TrainingError"),
-    *("MeshError", "CheckpointError", "GpuError", "LostCardError", "Cancelled"),
+    *("MeshError", "CheckpointError", "GpuError", "LostGpuError", "Cancelled"),
 }
 FEW = {
     "surfel_iterations": 40,

@@ -15,7 +15,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 GpusOption = Annotated[
     str | None,
-    typer.Option(metavar="all|0,1", help="Start one worker per NVIDIA card, for jobs that request a card."),
+    typer.Option(metavar="all|0,1", help="Start one worker per NVIDIA GPU, for jobs that request a GPU."),
 ]
 
 

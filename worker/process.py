@@ -16,7 +16,7 @@ from worker.job import EVENTS_FD
 # The environment variables for the job process. It must not get the addresses and secrets of Redis and the store.
 _PASSED = (
     *("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH"),
-    *("CUDA_VISIBLE_DEVICES", "CUDA_DEVICE_ORDER"),  # both, as a card's number depends on the order
+    *("CUDA_VISIBLE_DEVICES", "CUDA_DEVICE_ORDER"),  # both, as a GPU's number depends on the order
 )
 _PASSED_PREFIXES = (
     *("OMP_", "MKL_", "NVIDIA_", "MGSR_CPU_", "MGSR_CUDA_"),

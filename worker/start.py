@@ -12,11 +12,11 @@ from contextlib import suppress
 from service.contract.children import Child, Stop, keep_alive, stop_on_signals
 from service.contract.queue import CPU, GPU
 from service.contract.settings import Settings
-from worker.cards import all_cards
+from worker.gpus import all_gpus
 from worker.rq_worker import work
 
-# Names a child's card, so that the child does not start children too.
-_CARD = "MGSR_WORKER_CARD"
+# Names a child's GPU, so that the child does not start children too.
+_GPU = "MGSR_WORKER_GPU"
 
 
 def start_workers(gpus: str | None) -> None:
@@ -25,33 +25,33 @@ def start_workers(gpus: str | None) -> None:
     gpus: "all", or GPUs by number or uuid, as in CUDA_VISIBLE_DEVICES; None means the CPU. Raises SetupError if there
     is no such GPU.
     """
-    if _CARD in os.environ:
-        _work(on_card=True)
+    if _GPU in os.environ:
+        _work(on_gpu=True)
     elif gpus is None:
-        _work(on_card=False)
+        _work(on_gpu=False)
     else:
-        _one_for_each(_cards(gpus))
+        _one_for_each(_gpus(gpus))
 
 
-def _work(on_card: bool) -> None:
+def _work(on_gpu: bool) -> None:
     settings = Settings()
     settings.need_redis()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
-    work([GPU, CPU] if on_card else [CPU], settings)
+    work([GPU, CPU] if on_gpu else [CPU], settings)
 
 
-def _one_for_each(cards: list[str]) -> None:
-    """Run a worker for each card, restarted if it dies, until a signal to this process ends all of them."""
+def _one_for_each(gpus: list[str]) -> None:
+    """Run a worker for each GPU, restarted if it dies, until a signal to this process ends all of them."""
     settings = Settings()
     settings.need_redis()
     children = [
         Child(
-            f"worker of card {card}",
+            f"worker of GPU {gpu}",
             [sys.executable, "-m", "worker.cli"],
-            {_CARD: card, "CUDA_VISIBLE_DEVICES": card},
+            {_GPU: gpu, "CUDA_VISIBLE_DEVICES": gpu},
             settings.stop_grace + 10.0,
         )
-        for card in cards
+        for gpu in gpus
     ]
     stop_on_signals()
     try:
@@ -67,5 +67,5 @@ def _one_for_each(cards: list[str]) -> None:
             list(pool.map(lambda child: child.stop(at_once=False), children))
 
 
-def _cards(gpus: str) -> list[str]:
-    return all_cards() if gpus == "all" else [card.strip() for card in gpus.split(",")]
+def _gpus(gpus: str) -> list[str]:
+    return all_gpus() if gpus == "all" else [gpu.strip() for gpu in gpus.split(",")]

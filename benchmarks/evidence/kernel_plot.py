@@ -29,7 +29,7 @@ def write_kernel_plot(path: Path, points: Sequence[tuple[str, str, float, float]
         panel.set(
             xscale="log",
             yscale="log",
-            xlabel="milliseconds of the processor (or card), forward and backward",
+            xlabel="milliseconds of the processor (or GPU), forward and backward",
             ylabel="largest error",
         )
         panel.legend(loc="upper left", bbox_to_anchor=(1, 1))

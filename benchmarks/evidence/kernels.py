@@ -23,7 +23,7 @@ ROUNDING = 1e-4
 class KernelRow:
     """One kernel in one variant.
 
-    The variant is avx512, avx2 or baseline (the processor's), cuda (a card's), or torch (plain float32 torch on the
+    The variant is avx512, avx2 or baseline (the processor's), cuda (a GPU's), or torch (plain float32 torch on the
     processor, for comparison).
 
     size: what the times are for. forward, backward, least, cpu: milliseconds; medians of each way, the least of both
@@ -53,7 +53,7 @@ class KernelRow:
     def cost(self) -> float:
         """Return the milliseconds of forward and backward.
 
-        They are those of the card, or what all threads of the processor spent together, which other programs change
+        They are those of the GPU, or what all threads of the processor spent together, which other programs change
         least.
         """
         return self.forward + (self.backward or 0.0) if self.variant == "cuda" else self.cpu

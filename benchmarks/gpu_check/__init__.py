@@ -1,1 +1,1 @@
-"""All checks that only a card can do, in three parts; `scripts/gpu_check.sh` starts them."""
+"""All checks that only a GPU can do, in three parts; `scripts/gpu_check.sh` starts them."""

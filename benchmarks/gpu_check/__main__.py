@@ -1,8 +1,8 @@
-"""All checks that only a card can do.
+"""All checks that only a GPU can do.
 
     scripts/gpu_check.sh [1|2|3] [FOLDER] [PACKED...]
 
-Part 1: facts, the CPU kernels' build, the CUDA kernels' compilation, tests/cuda on the card, memcheck of three
+Part 1: facts, the CPU kernels' build, the CUDA kernels' compilation, tests/cuda on the GPU, memcheck of three
 families, and gsplat's build beside all that. Part 2: the benchmark, beside gsplat where that was built; the profile of
 a training; ncu on single kernels. Part 3: whole trainings, memory, an illegal address. Without a number: all three.
 Each part ends within 9 minutes, each step within a limit of its own; a step that fails does not stop the others; the
@@ -14,7 +14,7 @@ or folders of such, as scripts/gpu_pack.sh makes one. What later parts use again
 
 PYTHON names the interpreter, which must have torch for CUDA, numpy, SciPy, Pillow, pytest, cuda-core and an NVRTC;
 the build takes cmake, ninja, nanobind and a C++ compiler. RUNS (20) is of the benchmark; SKIP, a list of steps, leaves
-some out; LIMIT is a part's seconds (540); COMMIT is said where git can't tell it. To try the steps without a card:
+some out; LIMIT is a part's seconds (540); COMMIT is said where git can't tell it. To try the steps without a GPU:
 DEVICE=cpu, and SETTINGS, a list of KEY=VALUE of every training, that make it short.
 """
 

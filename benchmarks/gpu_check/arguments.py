@@ -13,7 +13,7 @@ def parser(description: str | None) -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--results", type=Path, required=True, help="the folder for the results")
     made.add_argument("--work", type=Path, required=True, help="the folder for files that stay on the machine")
-    made.add_argument("--device", default="cuda", help="cuda, or cpu to test the step without a card")
+    made.add_argument("--device", default="cuda", help="cuda, or cpu to test the step without a GPU")
     return made
 
 
@@ -29,10 +29,10 @@ def work_of(args: argparse.Namespace) -> Path:
     return work
 
 
-def require_card(device: str) -> None:
-    """End the process with a message, and code 1, where cuda is asked for and torch can use no card."""
+def require_gpu(device: str) -> None:
+    """End the process with a message, and code 1, where cuda is asked for and torch can use no GPU."""
     import torch
 
     if device == "cuda" and not torch.cuda.is_available():
-        built = "is built for the CPU only" if torch.version.cuda is None else "sees no NVIDIA card or driver"
-        raise SystemExit(f"no card: the installed torch {built}")
+        built = "is built for the CPU only" if torch.version.cuda is None else "sees no NVIDIA GPU or driver"
+        raise SystemExit(f"no GPU: the installed torch {built}")

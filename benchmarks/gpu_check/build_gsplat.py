@@ -1,4 +1,4 @@
-"""Build gsplat for the card, and keep the build for later steps: gsplat.json says what they need to import it.
+"""Build gsplat for the GPU, and keep the build for later steps: gsplat.json says what they need to import it.
 
 From the wheel that was brought, or as the interpreter has it. A small picture by each of its functions shows that the
 build works. It takes minutes.
@@ -11,7 +11,7 @@ import os
 import time
 from pathlib import Path
 
-from benchmarks.gpu_check.arguments import parser, require_card, work_of
+from benchmarks.gpu_check.arguments import parser, require_gpu, work_of
 from benchmarks.gpu_check.results import tell
 from benchmarks.gpu_check.wheels import unpack_wheel
 
@@ -22,7 +22,7 @@ def main() -> None:
     made = parser(__doc__)
     made.add_argument("--wheel", type=Path)
     args = made.parse_args()
-    require_card(args.device)
+    require_gpu(args.device)
     work = work_of(args)
     # With other settings, torch would build anew where gsplat is imported.
     needed = compiler_settings() | {"TORCH_EXTENSIONS_DIR": str(work / "torch_extensions")}
@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def compiler_settings() -> dict[str, str]:
-    """Return the compiler's settings: for this card alone, beside other work.
+    """Return the compiler's settings: for this GPU alone, beside other work.
 
     CUDA 13's toolkit keeps headers in a folder of their own, which is among them.
     """

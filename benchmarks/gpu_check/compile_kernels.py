@@ -1,24 +1,24 @@
-"""Compile every family of CUDA kernels for the card, timed; without a card, for one that is named here."""
+"""Compile every family of CUDA kernels for the GPU, timed; without a GPU, for one that is named here."""
 
 from __future__ import annotations
 
 import time
 
-from benchmarks.gpu_check.arguments import parser, require_card, results_of
+from benchmarks.gpu_check.arguments import parser, require_gpu, results_of
 from benchmarks.gpu_check.results import tell
 
-WITHOUT_CARD = "sm_90"
+WITHOUT_GPU = "sm_90"
 
 
 def main() -> None:
     args = parser(__doc__).parse_args()
-    require_card(args.device)
+    require_gpu(args.device)
     import torch
 
     from mgsr.errors import GpuError
     from mgsr.native.cuda.compiler import SOURCES, arch_for, compile_family
 
-    arch = arch_for(*torch.cuda.get_device_capability()) if args.device == "cuda" else WITHOUT_CARD
+    arch = arch_for(*torch.cuda.get_device_capability()) if args.device == "cuda" else WITHOUT_GPU
     results, seconds, failed = results_of(args), {}, []
     for path in sorted(SOURCES.glob("kernels/*/*.cu")):
         started_at = time.perf_counter()

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from benchmarks.gpu_check.arguments import parser, require_card
+from benchmarks.gpu_check.arguments import parser, require_gpu
 from benchmarks.rasterizers import make_scene, our_modes
 from mgsr.ops.image_loss import image_loss
 
@@ -22,7 +22,7 @@ WARM_UPS = 2
 
 def main() -> None:
     args = parser(__doc__).parse_args()
-    require_card(args.device)
+    require_gpu(args.device)
     device = torch.device(args.device)
     work = rounds(SIZE if device.type == "cuda" else SMALL, device)
     for _ in range(WARM_UPS):

@@ -7,11 +7,11 @@ import os
 import platform
 import subprocess
 
-from benchmarks.gpu_check.arguments import parser, require_card
+from benchmarks.gpu_check.arguments import parser, require_gpu
 from benchmarks.gpu_check.results import tell
 
 PACKAGES = ("torch", "numpy", "cuda-core", "cuda-bindings", "nvidia-cuda-nvrtc", "gsplat", "plyfile", "pillow")
-CARD = ("nvidia-smi", "--query-gpu=name,driver_version,memory.total,compute_cap", "--format=csv,noheader")
+GPU = ("nvidia-smi", "--query-gpu=name,driver_version,memory.total,compute_cap", "--format=csv,noheader")
 COMMIT = ("git", "log", "-1", "--format=commit %h of %cs")
 CHANGES = ("git", "status", "--porcelain", "--untracked-files=no")
 
@@ -22,16 +22,16 @@ def main() -> None:
     changed = answer(CHANGES)
     if changed:
         tell(f"with changes to {len(changed.splitlines())} files")
-    tell(f"card: {answer(CARD) or 'nvidia-smi does not answer'}")
+    tell(f"GPU: {answer(GPU) or 'nvidia-smi does not answer'}")
     tell(f"{os.cpu_count()} CPU cores, Python {platform.python_version()}, {versions()}")
-    require_card(args.device)
+    require_gpu(args.device)
     from mgsr.native.cuda.compiler import headers_digest
     from mgsr.native.cuda.launcher import compiler_version, cuda_launcher
 
     tell(f"NVRTC {'.'.join(map(str, compiler_version()))}, kernels' headers {headers_digest().hex()[:12]}")
     if args.device == "cuda":
         cuda_launcher(0)
-        tell("the launcher accepts the card")
+        tell("the launcher accepts the GPU")
 
 
 def answer(words: tuple[str, ...]) -> str:

@@ -1,4 +1,4 @@
-"""Check of what a person sees after an illegal address: a training on the card, whose kernels go wrong in its midst.
+"""Check of what a person sees after an illegal address: a training on the GPU, whose kernels go wrong in its midst.
 
 A process of its own trains the ball, as `mgsr train` would tell of it, and launches a kernel of ours on addresses that
 are nobody's. It should end with one message that says what to do, and exit code 2, as after all that is refused.
@@ -14,7 +14,7 @@ from collections.abc import Callable
 import torch
 import typer
 
-from benchmarks.gpu_check.arguments import parser, require_card, results_of
+from benchmarks.gpu_check.arguments import parser, require_gpu, results_of
 from benchmarks.gpu_check.results import tell
 from benchmarks.packed_scenes import ball
 from mgsr.cli.options import REFUSED, refusals
@@ -72,7 +72,7 @@ def main() -> None:
     made = parser(__doc__)
     made.add_argument("--child", action="store_true")
     args = made.parse_args()
-    require_card(args.device)
+    require_gpu(args.device)
     if args.child:
         app = typer.Typer(pretty_exceptions_enable=False)
         app.command()(lambda: train_and_break(args.device, read_nobodys_memory))

@@ -1,4 +1,4 @@
-"""Read the card's counters for single kernels with ncu: how long they take, and how busy they keep its parts.
+"""Read the GPU's counters for single kernels with ncu: how long they take, and how busy they keep its parts.
 
 Where ncu can't (it is missing, or counters are for administrators alone), what it says is the result.
 """
@@ -11,7 +11,7 @@ import subprocess
 import sys
 from collections.abc import Iterable, Iterator
 
-from benchmarks.gpu_check.arguments import parser, require_card, results_of
+from benchmarks.gpu_check.arguments import parser, require_gpu, results_of
 from benchmarks.gpu_check.results import tell
 
 SECTIONS = ("SpeedOfLight", "LaunchStats", "Occupancy", "WarpStateStats", "MemoryWorkloadAnalysis")
@@ -35,7 +35,7 @@ TOLD = {
 
 def main() -> None:
     args = parser(__doc__).parse_args()
-    require_card(args.device)
+    require_gpu(args.device)
     program = shutil.which("ncu")
     if program is None:
         raise SystemExit("ncu is not installed; skip the step with SKIP")

@@ -16,7 +16,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from benchmarks.gpu_check.arguments import parser, require_card, results_of
+from benchmarks.gpu_check.arguments import parser, require_gpu, results_of
 from benchmarks.gpu_check.results import tell
 from benchmarks.rasterizers import Scene, make_scene, our_modes
 from mgsr.errors import GpuError
@@ -38,7 +38,7 @@ class Rendered:
 
 
 class Memory(Protocol):
-    """A card's memory."""
+    """A GPU's memory."""
 
     def peak_of(self, render: Callable[[], Rendered]) -> tuple[Rendered, int]:
         """Return what `render` gives, and the most bytes that it takes beside what is held already."""
@@ -61,8 +61,8 @@ class Outcome:
     detail: str
 
 
-class CardMemory:
-    """The memory of the current card, as torch uses it."""
+class GpuMemory:
+    """The memory of the current GPU, as torch uses it."""
 
     def peak_of(self, render: Callable[[], Rendered]) -> tuple[Rendered, int]:
         torch.cuda.empty_cache()
@@ -85,7 +85,7 @@ class CardMemory:
 def starved(render: Callable[[], Rendered], memory: Memory, shares: Sequence[float] = SHARES) -> Iterator[Outcome]:
     """Yield the outcomes of a rendering with shares of the memory that it takes, the largest first.
 
-    Each is compared with the rendering that had enough. After one that failed, nothing more is tried: the card may be
+    Each is compared with the rendering that had enough. After one that failed, nothing more is tried: the GPU may be
     unusable.
     """
     whole, peak = memory.peak_of(render)
@@ -143,10 +143,10 @@ def rendering(scene: Scene, mode: str) -> Callable[[], Rendered]:
 
 def main() -> None:
     args = parser(__doc__).parse_args()
-    require_card(args.device)
+    require_gpu(args.device)
     if args.device != "cuda":
-        raise SystemExit("memory: this step needs a card")
-    results, memory, wrong = results_of(args), CardMemory(), list[str]()
+        raise SystemExit("memory: this step needs a GPU")
+    results, memory, wrong = results_of(args), GpuMemory(), list[str]()
     for size in SIZES:
         scene = make_scene(size, torch.device("cuda"))
         for mode in MODES:

@@ -2,7 +2,7 @@
 densification, with the splats that it has there.
 
 Three stretches follow one another in the middle of the last stage: one without any profiler, whose times are the ones
-that count; one in which the card alone is recorded, for its kernels and the gaps between them; one in which torch's
+that count; one in which the GPU alone is recorded, for its kernels and the gaps between them; one in which torch's
 operations are recorded too, which slows the host down. The second and third end with a densification where there are
 some. Training is given up then.
 """
@@ -21,7 +21,7 @@ from torch.profiler import ProfilerActivity
 from torch.profiler import profile as recorder
 
 from benchmarks.gpu_check import trace
-from benchmarks.gpu_check.arguments import parser, require_card, results_of, work_of
+from benchmarks.gpu_check.arguments import parser, require_gpu, results_of, work_of
 from benchmarks.gpu_check.results import tell
 from benchmarks.packed_scenes import Packed, packed_or_ball
 from mgsr.config import Config, make_config
@@ -59,7 +59,7 @@ class Profile:
 
     where: Progress
     plain: Stretch
-    card: Stretch
+    gpu: Stretch
     all: Stretch
 
 
@@ -109,7 +109,7 @@ class Watch:
     def _measure(self) -> Generator[None, None, None]:
         """Measure the stretches; each step of the generator is one iteration."""
         yield from self._stretch("plain", max(self._every, self._count), None)
-        for name, kinds in (("card", [ProfilerActivity.CUDA]), ("all", [ProfilerActivity.CPU, ProfilerActivity.CUDA])):
+        for name, kinds in (("gpu", [ProfilerActivity.CUDA]), ("all", [ProfilerActivity.CPU, ProfilerActivity.CUDA])):
             # The stretch ends with the iteration after which splats are added and removed.
             for _ in range(-self._count % self._every):
                 yield
@@ -154,20 +154,20 @@ def profiled(
 
 def lines(profile: Profile) -> Iterator[str]:
     """Return the profile, as Markdown."""
-    where, plain, card, whole = profile.where, profile.plain, profile.card, profile.all
+    where, plain, gpu, whole = profile.where, profile.plain, profile.gpu, profile.all
     counts = ", ".join(f"{count} {name}" for name, count in where.counts.items())
     yield f"\n### Profile from iteration {where.iteration} of {where.total} of {where.stage}, {counts}\n"
     yield "| iterations | recorded | wall ms each | host CPU ms each |\n|---|---|---|---|"
-    for stretch, recorded in ((plain, "nothing"), (card, "the card"), (whole, "the card and torch's operations")):
+    for stretch, recorded in ((plain, "nothing"), (gpu, "the GPU"), (whole, "the GPU and torch's operations")):
         yield f"| {stretch.iterations} | {recorded} | {stretch.wall_each:.3f} | {stretch.cpu_each:.3f} |"
     yield ""
     for name, value in numbers(profile).items():
         yield f"- {name.replace('_', ' ')}: {value:.4g}"
-    yield "\n| on the card | runs each | ms each | median us | share |\n|---|---|---|---|---|"
-    for row in trace.kernel_rows(card.events, card.iterations)[:SHOWN_KERNELS]:
+    yield "\n| on the GPU | runs each | ms each | median us | share |\n|---|---|---|---|---|"
+    for row in trace.kernel_rows(gpu.events, gpu.iterations)[:SHOWN_KERNELS]:
         yield f"| {row.name[:80]} | {row.runs:.2f} | {row.milliseconds:.4f} | {row.median:.1f} | {row.share:.1%} |"
     yield "\n| gap us | after | before |\n|---|---|---|"
-    for gap in trace.gaps(card.events)[:SHOWN_GAPS]:
+    for gap in trace.gaps(gpu.events)[:SHOWN_GAPS]:
         yield f"| {gap.length:.0f} | {gap.before[:60]} | {gap.after[:60]} |"
     yield "\n| torch's operation | each |\n|---|---|"
     for name, count in list(trace.operations(whole.events).items())[:SHOWN_OPERATIONS]:
@@ -177,29 +177,29 @@ def lines(profile: Profile) -> Iterator[str]:
 def numbers(profile: Profile) -> dict[str, float]:
     """Return the figures that the targets are about, by name.
 
-    The card's times are of the stretch in which it alone is recorded, the wall's and the host's of the one in which
+    The GPU's times are of the stretch in which it alone is recorded, the wall's and the host's of the one in which
     nothing is.
     """
-    plain, card, whole = profile.plain, profile.card, profile.all
-    busy = trace.busy(card.events) / card.iterations
-    idle = trace.gaps(card.events)
+    plain, gpu, whole = profile.plain, profile.gpu, profile.all
+    busy = trace.busy(gpu.events) / gpu.iterations
+    idle = trace.gaps(gpu.events)
     return {
         "wall_ms_each": plain.wall_each,
         "host_cpu_ms_each": plain.cpu_each,
-        "host_waiting_ms_each": trace.waits(card.events) / card.iterations,
-        "card_busy_ms_each": busy,
-        "card_busy_share_of_wall": busy / plain.wall_each,
-        "card_busy_share_of_wall_while_recorded": busy / card.wall_each,
-        "gaps_ms_each": sum(gap.length for gap in idle) / 1e3 / card.iterations,
-        "gaps_over_10us_each": sum(gap.length > 10 for gap in idle) / card.iterations,
-        "kernels_each": trace.launches(card.events) / card.iterations,
+        "host_waiting_ms_each": trace.waits(gpu.events) / gpu.iterations,
+        "gpu_busy_ms_each": busy,
+        "gpu_busy_share_of_wall": busy / plain.wall_each,
+        "gpu_busy_share_of_wall_while_recorded": busy / gpu.wall_each,
+        "gaps_ms_each": sum(gap.length for gap in idle) / 1e3 / gpu.iterations,
+        "gaps_over_10us_each": sum(gap.length > 10 for gap in idle) / gpu.iterations,
+        "kernels_each": trace.launches(gpu.events) / gpu.iterations,
         "torch_operations_each": sum(trace.operations(whole.events).values()) / whole.iterations,
     }
 
 
 def row(profile: Profile) -> dict[str, Any]:
     """Return the profile for results.jsonl."""
-    kernels = trace.kernel_rows(profile.card.events, profile.card.iterations)
+    kernels = trace.kernel_rows(profile.gpu.events, profile.gpu.iterations)
     return {
         "stage": profile.where.stage,
         "iteration": profile.where.iteration,
@@ -217,7 +217,7 @@ def main() -> None:
     made.add_argument("--iterations", type=int, default=50)
     made.add_argument("--after", type=float, default=120.0, help="the seconds after which to profile")
     args = made.parse_args()
-    require_card(args.device)
+    require_gpu(args.device)
     config = make_config(args.preset, overrides=args.settings)
     content = packed_or_ball(args.scene, config)
     profile = profiled(content, config, torch.device(args.device), args.iterations, args.after, work_of(args))
@@ -227,7 +227,7 @@ def main() -> None:
     results_of(args).row(step="profile", scene=content.scene.name, preset=args.preset, **row(profile))
     found = numbers(profile)
     tell(
-        f"{found['wall_ms_each']:.2f} ms an iteration, the card busy for {found['card_busy_share_of_wall']:.0%} of it, "
+        f"{found['wall_ms_each']:.2f} ms an iteration, the GPU busy for {found['gpu_busy_share_of_wall']:.0%} of it, "
         f"host {found['host_cpu_ms_each']:.2f} ms, {found['kernels_each']:.0f} kernels, "
         f"{found['torch_operations_each']:.0f} torch operations"
     )

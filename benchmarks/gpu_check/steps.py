@@ -110,7 +110,7 @@ def packed_or_ball(place: Place, name: str) -> str:
 
 
 def _tests(*words: str) -> Callable[[Place], list[str]]:
-    return lambda place: [*_module(place, "card_tests"), "--device", place.device, "--", *words]
+    return lambda place: [*_module(place, "gpu_tests"), "--device", place.device, "--", *words]
 
 
 def _memcheck(family: str) -> Callable[[Place], list[str]]:

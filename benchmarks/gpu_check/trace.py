@@ -52,7 +52,7 @@ class KernelRow:
 
 @dataclass(frozen=True)
 class Gap:
-    """A time, in microseconds, in which the card did nothing, between two things that it did."""
+    """A time, in microseconds, in which the GPU did nothing, between two things that it did."""
 
     length: float
     before: str
@@ -72,9 +72,9 @@ def read_trace(path: Path) -> list[Event]:
 
 
 def kernel_rows(events: Iterable[Event], iterations: int) -> list[KernelRow]:
-    """Return what runs on the card, by its name, the longest first."""
+    """Return what runs on the GPU, by its name, the longest first."""
     runs = defaultdict[str, list[float]](list)
-    for event in on_card(events):
+    for event in on_gpu(events):
         runs[event.name].append(event.duration)
     total = sum(map(sum, runs.values()))
     rows = [
@@ -90,24 +90,24 @@ def kernel_rows(events: Iterable[Event], iterations: int) -> list[KernelRow]:
     return sorted(rows, key=lambda row: -row.milliseconds)
 
 
-def on_card(events: Iterable[Event]) -> list[Event]:
+def on_gpu(events: Iterable[Event]) -> list[Event]:
     """Return the kernels, copies and fills."""
     return [event for event in events if event.kind in GPU]
 
 
 def busy(events: Iterable[Event]) -> float:
-    """Return the milliseconds in which the card did something; what runs at the same time counts once."""
+    """Return the milliseconds in which the GPU did something; what runs at the same time counts once."""
     total, reached = 0.0, float("-inf")
-    for event in on_card(events):
+    for event in on_gpu(events):
         total += max(0.0, event.end - max(event.begin, reached))
         reached = max(reached, event.end)
     return total / 1e3
 
 
 def gaps(events: Iterable[Event]) -> list[Gap]:
-    """Return the gaps between events on the card, the longest first."""
+    """Return the gaps between events on the GPU, the longest first."""
     found, last = list[Gap](), None
-    for event in on_card(events):
+    for event in on_gpu(events):
         if last is not None and event.begin > last.end:
             found.append(Gap(event.begin - last.end, last.name, event.name))
         if last is None or event.end > last.end:
@@ -116,12 +116,12 @@ def gaps(events: Iterable[Event]) -> list[Gap]:
 
 
 def waits(events: Iterable[Event]) -> float:
-    """Return the milliseconds in which the host waited for the card."""
+    """Return the milliseconds in which the host waited for the GPU."""
     return sum(e.duration for e in events if e.kind in RUNTIME and "Synchronize" in e.name) / 1e3
 
 
 def launches(events: Iterable[Event]) -> int:
-    """Return how many kernels the card ran."""
+    """Return how many kernels the GPU ran."""
     return sum(event.kind == "kernel" for event in events)
 
 

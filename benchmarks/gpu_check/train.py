@@ -1,4 +1,4 @@
-"""Train a packed scene on the card, or the tests' ball; its numbers go into results.jsonl.
+"""Train a packed scene on the GPU, or the tests' ball; its numbers go into results.jsonl.
 
 --bring-home: its splats go into splats.zip, too. --same-as STEP: what was learnt is compared, byte for byte, with what
 the step of that name learnt.
@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from benchmarks.cuda_training import LEARNT, digests, run
-from benchmarks.gpu_check.arguments import parser, require_card, results_of, work_of
+from benchmarks.gpu_check.arguments import parser, require_gpu, results_of, work_of
 from benchmarks.gpu_check.results import Results, tell
 from benchmarks.packed_scenes import FINDINGS, packed_or_ball
 from mgsr.config import make_config
@@ -28,7 +28,7 @@ def main() -> None:
     made.add_argument("--bring-home", action="store_true")
     made.add_argument("--same-as", metavar="STEP")
     args = made.parse_args()
-    require_card(args.device)
+    require_gpu(args.device)
     results, out = results_of(args), work_of(args) / "trained" / args.step
     config = make_config(args.preset, overrides=args.settings)
     facts = run(packed_or_ball(args.scene, config), out, config, torch.device(args.device), args.deadline)

@@ -45,18 +45,18 @@ MESH_RESERVE = 0.15  # share of the surface's expected time that is reserved the
 class TimeBudget:
     """The time budget of `config`, counted from the zero of `clock`, in seconds.
 
-    on_card: whether training runs on a GPU, whose speed does not show the CPU's speed.
+    on_gpu: whether training runs on a GPU, whose speed does not show the CPU's speed.
     place: the place on the line of settings; None until it is chosen.
     scale: the scale of the training photographs; None until it is chosen.
     refined: the planned share of the refinement's full time.
     """
 
-    def __init__(self, config: Config, clock: Callable[[], float], on_card: bool = False) -> None:
+    def __init__(self, config: Config, clock: Callable[[], float], on_gpu: bool = False) -> None:
         assert config.time_budget is not None
         self.seconds, self.options = config.time_budget, config.expert.budget
         self.line = SettingsLine(config)
         self._most_stereo = config.expert.start.stereo.max_pixels
-        self.on_card = on_card
+        self.on_gpu = on_gpu
         self.place: float | None = None
         self.scale: float | None = None
         self.planned: dict[str, float] = {}
@@ -125,7 +125,7 @@ class TimeBudget:
         that measurement.
         """
         self._factors, self._costs, self._probed = factors, dict(measured), dict(splats)
-        if not self.on_card:
+        if not self.on_gpu:
             reference = {name: costs.iteration_cost(name, factors, splats) for name in measured}
             self.learn(sum(reference.values()), sum(measured.values()))
         low, high = self.options.lowest, self.options.highest
@@ -281,7 +281,7 @@ class TimeBudget:
         if len(self._recent) < 3:
             return expected * self._drift
         each = max((last - first) / (done - start), 1e-6)
-        if not self.on_card and name in self._costs:
+        if not self.on_gpu and name in self._costs:
             self._latest = min(max(each / expected, DRIFTS[0]), DRIFTS[1])
             self._drift = KEPT_DRIFT * self._drift + LATEST_DRIFT * self._latest
         return each

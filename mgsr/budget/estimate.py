@@ -20,7 +20,7 @@ _DRAFT_DEPTH, _USUAL_SPLATS = 7, 30_000
 class Speed:
     """The time that this machine takes, as a multiple of the reference machine's.
 
-    training: for iterations of training, which may run on a card. rest: for all other work.
+    training: for iterations of training, which may run on a GPU. rest: for all other work.
     """
 
     training: float

@@ -13,7 +13,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from mgsr.config import METHODS, PRESETS, Up
-from mgsr.errors import Cancelled, LostCardError, MgsrError
+from mgsr.errors import Cancelled, LostGpuError, MgsrError
 from mgsr.pipeline.stop_signals import INTERRUPTED, cleaned_up_after_signals
 
 REFUSED = 2
@@ -25,7 +25,7 @@ OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The
 PresetOption = Annotated[str, typer.Option(help=f"The amount of work: {', '.join(PRESETS)}.", metavar="PRESET")]
 MethodOption = Annotated[str, typer.Option(help=f"The branches to train: {', '.join(METHODS)}.", metavar="METHOD")]
 DeviceOption = Annotated[
-    str, typer.Option(help="The processor: auto, cpu or cuda (an NVIDIA card; see docs/cuda.md).", metavar="DEVICE")
+    str, typer.Option(help="The processor: auto, cpu or cuda (an NVIDIA GPU; see docs/cuda.md).", metavar="DEVICE")
 ]
 SeedOption = Annotated[int, typer.Option(help="The random seed. The same seed gives the same files.", min=0)]
 ResumeOption = Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint in OUT, if there is one.")]
@@ -93,7 +93,7 @@ def output_overrides(
 def refusals(resumes: bool = False) -> Iterator[None]:
     """Report an MgsrError as one message on stderr with exit code 2, and a stop with exit code 130.
 
-    Signals end the process after a clean-up. After a LostCardError the process ends at once. resumes: whether the
+    Signals end the process after a clean-up. After a LostGpuError the process ends at once. resumes: whether the
     command has --resume.
     """
     try:
@@ -106,7 +106,7 @@ def refusals(resumes: bool = False) -> Iterator[None]:
         kept = ". The last checkpoint is kept. To continue, run the same command with --resume." if resumes else ""
         _say(f"stopped immediately{kept}")
         raise typer.Exit(INTERRUPTED) from None
-    except LostCardError as error:
+    except LostGpuError as error:
         _say(f"error: {error}")
         _end_at_once(REFUSED)
     except MgsrError as error:

@@ -38,7 +38,7 @@ class DensifyState:
         radii [N]: 0 for an invisible splat.
         weight: the branch's weight in the loss. It is divided out, so that the threshold has the same meaning in the
         warm-up and in the mutual phase.
-        bad [] bool, on a card: whether to treat the gradients as zero.
+        bad [] bool, on a GPU: whether to treat the gradients as zero.
         """
         scale = (0.5 * width / weight, 0.5 * height / weight)
         gather_gradients(self.gradient_sum, self.seen, v_means2d, radii, scale, bad)

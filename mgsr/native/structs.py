@@ -1,4 +1,4 @@
-"""The structs that kernels take, the same on the CPU and on a card.
+"""The structs that kernels take, the same on the CPU and on a GPU.
 
 Arrays and numbers that belong together reach a kernel as one named tuple of this file, and no function of the bindings
 takes more than six arguments. Callers fill the fields by name. A type checker finds a field that is missing or of
@@ -6,7 +6,7 @@ another type, and a struct in place of another. The C++ bindings read the fields
 (`mgsr/native/bindings/fields.h`). The kernels of `mgsr.native.cuda` take the same tuples. The stubs beside this file
 declare the functions.
 
-Arrays are contiguous, and on the CPU or on the kernels' card. The bindings convert none of them, since the kernel would
+Arrays are contiguous, and on the CPU or on the kernels' GPU. The bindings convert none of them, since the kernel would
 write its output to a copy. An array of another dtype or layout raises TypeError, and one of another size raises
 ValueError or, where the size is fixed, TypeError.
 """
@@ -91,7 +91,7 @@ class SurfelImageGradients(NamedTuple):
 class SurfelGradients(NamedTuple):
     """The gradients of `SurfelSplats`, each of its tensor's shape, and means2d [N,2]: of shifts in the image, pixels.
 
-    The CPU's kernel writes only those of visible splats, so that the caller zeroes them; a card's kernel writes all.
+    The CPU's kernel writes only those of visible splats, so that the caller zeroes them; a GPU's kernel writes all.
     """
 
     means: Tensor
@@ -159,7 +159,7 @@ class GaussianImageGradients(NamedTuple):
 class GaussianGradients(NamedTuple):
     """The gradients of `GaussianSplats`, each of its tensor's shape, and means2d [N,2]: of the centres in pixels.
 
-    The CPU's kernel writes only those of visible splats, so that the caller zeroes them; a card's kernel writes all.
+    The CPU's kernel writes only those of visible splats, so that the caller zeroes them; a GPU's kernel writes all.
     """
 
     means: Tensor

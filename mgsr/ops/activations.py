@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from mgsr.native.cuda.activations import Activation, activate_vjp
-from mgsr.native.cuda.activations import activate as activate_on_card
+from mgsr.native.cuda.activations import activate as activate_on_gpu
 from mgsr.native.cuda.launcher import Launcher, launcher_for
 from mgsr.ops.arrays import once_differentiable, plain
 
@@ -63,7 +63,7 @@ def activated(launcher: Launcher | None, kinds: Sequence[Activation], stored: Se
             for kind, each in zip(kinds, stored, strict=True)
         ]
     used = [torch.empty_like(each) for each in stored]
-    activate_on_card(launcher, kinds, LARGEST_LOG_SCALE, stored, used)
+    activate_on_gpu(launcher, kinds, LARGEST_LOG_SCALE, stored, used)
     return used
 
 

@@ -18,7 +18,7 @@ def plain(tensor: torch.Tensor) -> torch.Tensor:
     return tensor if tensor.is_contiguous() else tensor.contiguous()
 
 
-def on_card(tensor: torch.Tensor) -> bool:
+def on_gpu(tensor: torch.Tensor) -> bool:
     """Return whether the tensor [...] is on a GPU, so that reading its values synchronises."""
     return launcher_for(tensor) is not None
 

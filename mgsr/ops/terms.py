@@ -105,13 +105,13 @@ def _values(terms: Sequence[Term]) -> tuple[TermKernels | None, Tensor, Any]:
 
     The kernels are None on the CPU.
     """
-    on_card = [(term.sums, term.weight) for term in terms if isinstance(term.sums, Sums)]
-    if on_card:
-        assert len(on_card) == len(terms), "all terms of a loss must be on one device"
-        launcher = launcher_for(on_card[0][0].partial)
+    on_gpu = [(term.sums, term.weight) for term in terms if isinstance(term.sums, Sums)]
+    if on_gpu:
+        assert len(on_gpu) == len(terms), "all terms of a loss must be on one device"
+        launcher = launcher_for(on_gpu[0][0].partial)
         assert launcher is not None
         kernels = TermKernels(launcher)
-        return kernels, *kernels.totals(on_card)
+        return kernels, *kernels.totals(on_gpu)
     sums = [(term.sums, term.weight) for term in terms if isinstance(term.sums, Total)]
     scales = [weight / each.by if each.by else 0.0 for each, weight in sums]
     values = [each.total * scale for (each, _), scale in zip(sums, scales, strict=True)]

@@ -37,9 +37,9 @@ class Device(StrEnum):
 
 
 def pick_device(name: str) -> Device:
-    """Return the device to use, cpu or cuda, and prepare torch's allocator for a card.
+    """Return the device to use, cpu or cuda, and prepare torch's allocator for a GPU.
 
-    Raises ConfigError for an unknown name, and for cuda if torch sees no card. Raises GpuError for a card that can't
+    Raises ConfigError for an unknown name, and for cuda if torch sees no GPU. Raises GpuError for a GPU that can't
     be used; auto then falls back to the CPU.
     """
     if name not in tuple(Device):
@@ -49,7 +49,7 @@ def pick_device(name: str) -> Device:
     if not torch.cuda.is_available():
         if name == Device.AUTO:
             return Device.CPU
-        built = "is built for the CPU only" if torch.version.cuda is None else "sees no NVIDIA card or driver"
+        built = "is built for the CPU only" if torch.version.cuda is None else "sees no NVIDIA GPU or driver"
         raise ConfigError(
             f"device cuda: the installed torch {built}; install torch for CUDA, or use the device cpu or auto"
         )

@@ -61,7 +61,7 @@ class Reconstruction:
     def to(self, device: str) -> Reconstruction:
         """Return the same results with the model on a device: auto, cpu or cuda. It renders there.
 
-        Raises ConfigError for another name or a device that torch does not see, and GpuError for a card that can't be
+        Raises ConfigError for another name or a device that torch does not see, and GpuError for a GPU that can't be
         used.
         """
         return replace(self, model=self.model.to(pick_device(device).torch))

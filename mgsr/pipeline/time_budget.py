@@ -28,7 +28,7 @@ def make_budget(
     """Build the budget that the settings ask for; it continues the budget of a checkpoint, if there is one."""
     if config.time_budget is None:
         return None
-    budget = TimeBudget(config, clock, on_card=device is not Device.CPU)
+    budget = TimeBudget(config, clock, on_gpu=device is not Device.CPU)
     state = None if checkpoint is None else read_schedule(checkpoint)
     if state is not None:
         budget.restore(state)

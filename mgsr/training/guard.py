@@ -11,7 +11,7 @@ from torch import Tensor
 
 from mgsr.errors import TrainingError
 from mgsr.ops.adam import any_bad
-from mgsr.ops.arrays import on_card
+from mgsr.ops.arrays import on_gpu
 from mgsr.training.schedule import SH_NAMES
 from mgsr.training.stages import Stage, Step
 from mgsr.training.trainable import Kind, Trainable, copied
@@ -57,7 +57,7 @@ class Guard:
         """
         # Gradients of colours are not checked, to save time: a bad one comes with a bad gradient of opacity or centre.
         bad = any_bad([step.loss.values, *_tensors(self.stage.trainables, "grad", without=SH_NAMES)])
-        if on_card(bad):
+        if on_gpu(bad):
             self._dropped.append(bad)
             self.bad = bad
             return True

@@ -9,7 +9,7 @@ import torch
 
 from mgsr.config import Config
 from mgsr.data.scene import Scene
-from mgsr.errors import GpuError, LostCardError
+from mgsr.errors import GpuError, LostGpuError
 from mgsr.gaussians.reflector import Reflector
 from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import one_torch_thread
@@ -22,24 +22,24 @@ from mgsr.training.stage_scheduler import FINISH
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU
 
-# What torch raises once a card has failed; versions before 2.8 have no name for it.
-CARD_FAILED: type[Exception] | tuple[()] = getattr(torch, "AcceleratorError", ())
+# What torch raises once a GPU has failed; versions before 2.8 have no name for it.
+GPU_FAILED: type[Exception] | tuple[()] = getattr(torch, "AcceleratorError", ())
 
 
 @contextmanager
-def card_explained() -> Iterator[None]:
-    """Convert a card's errors inside the block into a GpuError or a LostCardError that says what to do."""
+def gpu_explained() -> Iterator[None]:
+    """Convert a GPU's errors inside the block into a GpuError or a LostGpuError that says what to do."""
     try:
         yield
     except torch.OutOfMemoryError as error:
         raise GpuError(
-            f"the card's memory cannot hold this training ({error}); use smaller images (max_side=...), fewer splats "
+            f"the GPU's memory cannot hold this training ({error}); use smaller images (max_side=...), fewer splats "
             "(max_count=...) or --device cpu"
         ) from error
-    except CARD_FAILED as error:
+    except GPU_FAILED as error:
         reason = str(error).strip().splitlines()[0]
-        raise LostCardError(
-            f"the card failed ({reason}), and its memory is lost; resume from the last checkpoint with --resume, or "
+        raise LostGpuError(
+            f"the GPU failed ({reason}), and its memory is lost; resume from the last checkpoint with --resume, or "
             "use --device cpu; if it fails again, report the output with CUDA_LAUNCH_BLOCKING=1"
         ) from error
 
@@ -59,7 +59,7 @@ class Training:
     - TrainingError: too few views or points, numbers that are not finite, or a branch without splats.
     - Cancelled: should_stop returned True.
     - CheckpointError: the checkpoint is damaged, or belongs to another scene or other settings.
-    - GpuError: the card can't be used, or has too little memory for the scene.
+    - GpuError: the GPU can't be used, or has too little memory for the scene.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Training:
         control: TrainingControl = TrainingControl(),
         device: torch.device = CPU,
     ) -> None:
-        with one_torch_thread(), card_explained():
+        with one_torch_thread(), gpu_explained():
             plan = make_plan(scene, start, config, device, finish=control.scheduler is not None)
             self._trainer = Trainer(plan, config.train, fingerprint(scene, config), control)
             if control.resume and control.checkpoint_path is not None and control.checkpoint_path.exists():
@@ -81,7 +81,7 @@ class Training:
 
         mesh: in the scene's frame. Call this before that stage.
         """
-        with one_torch_thread(), card_explained():
+        with one_torch_thread(), gpu_explained():
             return self._trainer.plan.set_reflector(Reflector(mesh))
 
     def run(self, finish: bool = True) -> TrainResult:
@@ -90,7 +90,7 @@ class Training:
         The stage FINISH has iterations only with a scheduler or after `set_reflector`.
         """
         plan, scheduled = self._trainer.plan, self._trainer.control.scheduler is not None
-        with one_torch_thread(), card_explained():
+        with one_torch_thread(), gpu_explained():
             self._trainer.run(before=None if finish and (scheduled or plan.stages[-1].iterations) else FINISH)
         return _result(self._trainer)
 

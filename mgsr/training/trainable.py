@@ -101,7 +101,7 @@ class Trainable(ABC, Generic[Model]):
 def step_trainables(progress: Mapping[Trainable[Any], float], bad: Tensor | None = None) -> None:
     """Take one optimiser step of all these models, on a GPU in one launch.
 
-    progress: the share, 0..1, of the run that is done, for each model. bad [] bool, on a card: whether to treat the
+    progress: the share, 0..1, of the run that is done, for each model. bad [] bool, on a GPU: whether to treat the
     gradients as zero.
     """
     for part, share in progress.items():

@@ -94,7 +94,7 @@ def _prepared(
     if reduce > 1:
         view = _held(_reduced(view, reduce), store)
     image = _moved(view.image, device)
-    # The host finds the indices, so that it need not wait for a card.
+    # The host finds the indices, so that it need not wait for a GPU.
     invalid = None if view.valid_mask is None else torch.from_numpy(np.flatnonzero(~view.valid_mask)).to(device)
     irradiance = None if view.irradiance is None else _moved(view.irradiance, device)
     if view.alpha is None:

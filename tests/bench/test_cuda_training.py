@@ -1,4 +1,4 @@
-"""The trainings that `scripts/gpu_check.sh` makes on a card, on the CPU, and what is made of their splats at home."""
+"""The trainings that `scripts/gpu_check.sh` makes on a GPU, on the CPU, and what is made of their splats at home."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ def test_training_needs_none_of_what_a_bare_machine_lacks() -> None:
     subprocess.run([sys.executable, "-c", f"{block}; from benchmarks.gpu_check import {modules}"], check=True)
 
 
-def test_home_puts_the_card_beside_the_cpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    facts = {"scene": "spot_soft", "preset": "standard", "device": "A card", "seconds": 12.5}
+def test_home_puts_the_gpu_beside_the_cpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    facts = {"scene": "spot_soft", "preset": "standard", "device": "A GPU", "seconds": 12.5}
     facts["splats"] = {"surfels": 15000, "gaussians": 16000}
     with zipfile.ZipFile(tmp_path / "splats.zip", "w") as archive:
         archive.writestr("spot_soft/training.json", json.dumps(facts))
@@ -85,7 +85,7 @@ def test_home_puts_the_card_beside_the_cpu(tmp_path: Path, monkeypatch: pytest.M
     lines = cuda_training.home(tmp_path, tmp_path / "home", tmp_path / "data")
     assert [words[3] for words in asked] == ["mesh", "evaluate"]
     assert all(str(tmp_path / "data" / "scenes" / "spot_soft") in words for words in asked)
-    assert lines[2] == "| spot_soft | standard | A card | 1.5 | 0.98 | 4.5 | 36 | 15000 | 16000 | 12.5 |"
+    assert lines[2] == "| spot_soft | standard | A GPU | 1.5 | 0.98 | 4.5 | 36 | 15000 | 16000 | 12.5 |"
     assert len(lines) > 3 and all(line.startswith("| spot_soft | standard | CPU, ") for line in lines[3:])
     chamfer = [float(line.split("|")[4]) for line in lines[3:]]
     assert np.all((np.array(chamfer) > 1) & (np.array(chamfer) < 10))  # times 1000, as ours

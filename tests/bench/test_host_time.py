@@ -1,4 +1,4 @@
-"""What an iteration on a card asks of the host: few operations of torch's, beside the launches."""
+"""What an iteration on a GPU asks of the host: few operations of torch's, beside the launches."""
 
 from __future__ import annotations
 

@@ -248,7 +248,7 @@ def test_resume_takes_up_a_finished_training(scene: Path, done: Path, tmp_path: 
         pytest.param(
             ["SCENE", "--device", "cuda"],
             "device cuda: the installed torch",
-            marks=pytest.mark.skipif(torch.cuda.is_available(), reason="there is a card here"),
+            marks=pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU here"),
         ),
         (["SCENE", "--device", "tpu"], "auto, cpu, cuda"),
         (["SCENE", "--preset", "best"], "draft, standard, high"),

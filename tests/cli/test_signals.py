@@ -89,29 +89,29 @@ def test_other_threads_leave_signals_alone() -> None:
     assert trouble == [False]
 
 
-def test_a_lost_card_ends_the_command_at_once(tmp_path: Path) -> None:
+def test_a_lost_gpu_ends_the_command_at_once(tmp_path: Path) -> None:
     """Check that unpacked files go, and that no object is destroyed: torch's tensors would abort the process."""
     program = """
 import sys
 from pathlib import Path
 from mgsr.cli.options import refusals
 from mgsr.data import archive
-from mgsr.errors import LostCardError
+from mgsr.errors import LostGpuError
 
-class OnTheCard:
+class OnTheGpu:
     def __del__(self):
         print("taken down")
 
-tensor = OnTheCard()
+tensor = OnTheGpu()
 with refusals():
     print(archive.unpack(Path(sys.argv[1])))
-    raise LostCardError("the card failed")
+    raise LostGpuError("the GPU failed")
 """
     (tmp_path / "tmp").mkdir()
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as out:
         out.writestr("a.png", "x")
     words = [sys.executable, "-c", program, str(tmp_path / "a.zip")]
     done = subprocess.run(words, env={"TMPDIR": str(tmp_path / "tmp")}, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (2, "error: the card failed\n")
+    assert (done.returncode, done.stderr) == (2, "error: the GPU failed\n")
     assert done.stdout.startswith(str(tmp_path / "tmp")) and len(done.stdout.splitlines()) == 1
     assert not list((tmp_path / "tmp").iterdir())

@@ -1,5 +1,5 @@
 """Where the CUDA kernels run in tests: the host shim with threads in several orders, the machine for PTX, which is
-slower and sees more, and a card where there is one."""
+slower and sees more, and a GPU where there is one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.ptx_machine.nvrtc import missing_tools
 class Machine:
     """A device for tensors, and the order of threads.
 
-    The order is that in which the threads of the shim or of the machine for PTX run, or None on a card.
+    The order is that in which the threads of the shim or of the machine for PTX run, or None on a GPU.
     """
 
     name: str
@@ -33,7 +33,7 @@ class Machine:
     def running(self) -> Iterator[None]:
         """Run operations on `device` as CUDA kernels within the block.
 
-        Except on a card, torch.empty gives NaN and the largest integers, so that a kernel fails its test if it reads
+        Except on a GPU, torch.empty gives NaN and the largest integers, so that a kernel fails its test if it reads
         what it has not written.
         """
         if self.order is None:
@@ -80,19 +80,19 @@ SHIM = Machine("shim", CPU, Order.ASCENDING)
 OTHER_ORDERS = (Machine("shim-descending", CPU, Order.DESCENDING), Machine("shim-shuffled", CPU, Order.SHUFFLED))
 PTX = PtxMachine("ptx", CPU, Order.ASCENDING)
 PTX_SHUFFLED = PtxMachine("ptx-shuffled", CPU, Order.SHUFFLED)
-CARD = Machine("cuda", torch.device("cuda"), None)
+GPU = Machine("cuda", torch.device("cuda"), None)
 PROCESSOR = Machine("processor", CPU, None)  # the CPU kernels, for tests that hold both to the same
 
 
 def _mark(machine: Machine) -> object:
-    no_card = pytest.mark.skipif(not torch.cuda.is_available(), reason="NEEDS AN NVIDIA CARD: none is usable by torch")
-    marks = {CARD: [no_card], PTX: [pytest.mark.slow], PTX_SHUFFLED: [pytest.mark.slow]}
+    no_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="NEEDS AN NVIDIA GPU: none is usable by torch")
+    marks = {GPU: [no_gpu], PTX: [pytest.mark.slow], PTX_SHUFFLED: [pytest.mark.slow]}
     return pytest.param(machine, id=machine.name, marks=marks.get(machine, []))
 
 
-MACHINES = [_mark(machine) for machine in (SHIM, PTX, CARD)]
-EVERY_KERNEL = [_mark(machine) for machine in (PROCESSOR, SHIM, PTX, CARD)]
-ALL_MACHINES = [_mark(machine) for machine in (SHIM, *OTHER_ORDERS, PTX, PTX_SHUFFLED, CARD)]
+MACHINES = [_mark(machine) for machine in (SHIM, PTX, GPU)]
+EVERY_KERNEL = [_mark(machine) for machine in (PROCESSOR, SHIM, PTX, GPU)]
+ALL_MACHINES = [_mark(machine) for machine in (SHIM, *OTHER_ORDERS, PTX, PTX_SHUFFLED, GPU)]
 on_each_machine = pytest.mark.parametrize("machine", MACHINES)
 on_every_kernel = pytest.mark.parametrize("machine", EVERY_KERNEL)
 on_each_machine_and_order = pytest.mark.parametrize("machine", ALL_MACHINES)

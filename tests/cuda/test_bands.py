@@ -1,7 +1,7 @@
 """An image whose pairs of splats and tiles are too many for the memory is worked in bands of rows of tiles.
 
 Memory that is too small is played: by a limit of pairs, and by an error at one of the places, every launch and every
-tensor that torch makes, at which a card may report it.
+tensor that torch makes, at which a GPU may report it.
 """
 
 from __future__ import annotations
@@ -307,8 +307,8 @@ def test_a_row_is_tried_where_less_memory_is_free_than_it_is_thought_to_need(
     assert [len(found) for found in worked] == [ROWS, ROWS]
 
 
-class Card:
-    """A pretended card's memory, in bytes, as torch tells it."""
+class Gpu:
+    """A pretended GPU's memory, in bytes, as torch tells it."""
 
     total_memory, free, reserved, allocated, asked = 7_200_000, 450_000, 1_000_000, 550_000, 0
 
@@ -318,34 +318,34 @@ class Card:
 
 
 @pytest.fixture
-def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
-    card = Card()
-    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda device: card)
-    monkeypatch.setattr(torch.cuda, "mem_get_info", card.mem_get_info)
-    monkeypatch.setattr(torch.cuda, "memory_reserved", lambda device: card.reserved)
-    monkeypatch.setattr(torch.cuda, "memory_allocated", lambda device: card.allocated)
+def gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gpu]:
+    gpu = Gpu()
+    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda device: gpu)
+    monkeypatch.setattr(torch.cuda, "mem_get_info", gpu.mem_get_info)
+    monkeypatch.setattr(torch.cuda, "memory_reserved", lambda device: gpu.reserved)
+    monkeypatch.setattr(torch.cuda, "memory_allocated", lambda device: gpu.allocated)
     bands._total_memory.cache_clear()
-    yield card
+    yield gpu
     bands._total_memory.cache_clear()
 
 
-def test_a_band_is_what_half_of_the_free_memory_holds(card: Card) -> None:
+def test_a_band_is_what_half_of_the_free_memory_holds(gpu: Gpu) -> None:
     """Check that a band has as many pairs, of 450 bytes, as half of the free memory holds.
 
     What torch's allocator keeps unused is free too.
     """
     device = torch.device("cuda", 0)
     assert bands.most_pairs(device, 1001) == 1000
-    card.allocated = card.reserved
+    gpu.allocated = gpu.reserved
     assert bands.most_pairs(device, 1001) == 500
-    card.free = 2**50
+    gpu.free = 2**50
     assert bands.most_pairs(device, 2**40) == 2**31 - 1
 
 
-def test_the_driver_is_asked_only_for_many_pairs(card: Card) -> None:
+def test_the_driver_is_asked_only_for_many_pairs(gpu: Gpu) -> None:
     """Check that the driver is asked only where pairs need more than a sixteenth of the memory."""
     device = torch.device("cuda", 0)
-    assert bands.most_pairs(device, 1000) == 2**31 - 1 and card.asked == 0
+    assert bands.most_pairs(device, 1000) == 2**31 - 1 and gpu.asked == 0
     bands.most_pairs(device, 1001)
-    assert card.asked == 1
-    assert bands.most_pairs(SHIM.device, 2**40) == 2**31 - 1 and card.asked == 1
+    assert gpu.asked == 1
+    assert bands.most_pairs(SHIM.device, 2**40) == 2**31 - 1 and gpu.asked == 1

@@ -1,4 +1,4 @@
-"""Every CUDA kernel compiles for every generation of cards; the cache on disk serves several processes."""
+"""Every CUDA kernel compiles for every generation of GPUs; the cache on disk serves several processes."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_the_environment_moves_the_cache(tmp_path: Path, monkeypatch: pytest.Mon
     assert any((tmp_path / "here").rglob("*"))
 
 
-def test_a_card_gets_its_own_architecture_or_the_one_before() -> None:
+def test_a_gpu_gets_its_own_architecture_or_the_one_before() -> None:
     assert arch_for(9, 0) == "sm_90"
     assert arch_for(12, 9)[:5] == "sm_12"
     for capability in ((6, 1), (99, 0)):

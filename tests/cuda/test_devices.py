@@ -1,6 +1,6 @@
 """An iteration of training touches one device and never waits for it.
 
-Torch's meta device stands in for a card: an operation that mixes it with the processor's tensors fails there, and so
+Torch's meta device stands in for a GPU: an operation that mixes it with the processor's tensors fails there, and so
 does everything that would bring a value to the host (float, bool, item, cpu, numpy, a mask's count).
 """
 
@@ -71,7 +71,7 @@ def iterate(stage: Stage) -> None:
 
 @pytest.mark.parametrize("masked", [True, False])
 @pytest.mark.parametrize("overrides", [[], ["distortion_weight=1.0"], ["gaussian_depth_tv_weight=0.1"]])
-def test_an_iteration_stays_on_the_card(launcher: NoLauncher, masked: bool, overrides: list[str]) -> None:
+def test_an_iteration_stays_on_the_gpu(launcher: NoLauncher, masked: bool, overrides: list[str]) -> None:
     plan = plan_on_meta(make_config("standard", "mgsr", 0, overrides), masked)
     with use_launcher(launcher):
         for stage in plan.stages:
@@ -100,7 +100,7 @@ def test_single_branches_too(launcher: NoLauncher, method: str) -> None:
 
 
 def test_tensors_of_two_devices_are_refused() -> None:
-    """Check that tensors of two devices are refused: a kernel would read the processor's addresses as the card's."""
+    """Check that tensors of two devices are refused: a kernel would read the processor's addresses as the GPU's."""
     image, plane, here = torch.zeros(4, 5, 3, device=META), torch.zeros(4, 5, device=META), torch.zeros(4, 5)
     camera = ball_scene(24, train=3, test=1).train[0].camera.resized(5, 4)
     with pytest.raises(TensorError, match="mask: expected device meta"):

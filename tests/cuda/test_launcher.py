@@ -37,22 +37,22 @@ current = [0]
 torch.cuda.device = device
 # The compiler asks a driver more than this one knows, and is tested elsewhere.
 launcher.compile_family = lambda family, arch: Path(sys.argv[1]).read_bytes()
-card = CudaLauncher(0)
-card.launch("adam", "adam_update", 7, 128, Params(4242, 1))
-card.launch("adam", "adam_update", 8, 64, Params(-1, 1))
-card.launch("adam", "adam_update", 0, 64, Params(5, 1))
-# As torch's backward does, in a thread that has not touched the card.
-backward = threading.Thread(target=card.launch, args=("adam", "adam_update", 3, 64, Params(7, 1)))
+GPU = CudaLauncher(0)
+GPU.launch("adam", "adam_update", 7, 128, Params(4242, 1))
+GPU.launch("adam", "adam_update", 8, 64, Params(-1, 1))
+GPU.launch("adam", "adam_update", 0, 64, Params(5, 1))
+# As torch's backward does, in a thread that has not touched the GPU.
+backward = threading.Thread(target=GPU.launch, args=("adam", "adam_update", 3, 64, Params(7, 1)))
 backward.start()
 backward.join()
 current[0] = 3
-card.launch("adam", "adam_update", 9, 32, Params(6, 1))
+GPU.launch("adam", "adam_update", 9, 32, Params(6, 1))
 for kernel in ("refused", "large", "huge", "lost"):
     try:
-        card.launch("adam", kernel, 1, 32, Params(0, 0))
+        GPU.launch("adam", kernel, 1, 32, Params(0, 0))
     except (GpuError, torch.OutOfMemoryError) as error:
         print(f"{type(error).__name__}: {error}", flush=True)
-print("maps memory", card.maps_memory())
+print("maps memory", GPU.maps_memory())
 """
 
 
@@ -68,11 +68,11 @@ def test_what_the_driver_is_asked_for(tmp_path: Path) -> None:
     done = subprocess.run(program, env=environment, capture_output=True, text=True, check=True)
     *printed, huge, maps = sorted(done.stdout.splitlines(), key=lambda line: ("maps" in line, "huge" in line, line))
     assert maps == "maps memory True"
-    assert huge.startswith("OutOfMemoryError: huge cannot be loaded on card 0: CUDA_ERROR_OUT_OF_MEMORY")
+    assert huge.startswith("OutOfMemoryError: huge cannot be loaded on GPU 0: CUDA_ERROR_OUT_OF_MEMORY")
     assert printed == [
-        "GpuError: refused failed on card 0: CUDA_ERROR_INVALID_VALUE, invalid argument",
-        "LostCardError: lost failed on card 0: CUDA_ERROR_ILLEGAL_ADDRESS, unknown error",
-        "OutOfMemoryError: large failed on card 0: CUDA_ERROR_OUT_OF_MEMORY, out of memory",
+        "GpuError: refused failed on GPU 0: CUDA_ERROR_INVALID_VALUE, invalid argument",
+        "LostGpuError: lost failed on GPU 0: CUDA_ERROR_ILLEGAL_ADDRESS, unknown error",
+        "OutOfMemoryError: large failed on GPU 0: CUDA_ERROR_OUT_OF_MEMORY, out of memory",
         "device 0",
         "launch 0x1234 blocks 3 1 1 threads 64 1 1 shared 0 stream 0x7f00 first parameter 7 extra 0",
         "launch 0x1234 blocks 7 1 1 threads 128 1 1 shared 0 stream 0x7f00 first parameter 4242 extra 0",

@@ -12,7 +12,7 @@ import torch
 from mgsr.data.camera import Camera
 from mgsr.ops.gaussians import GaussianRaster, rasterize_gaussians
 from mgsr.ops.surfels import SurfelRaster, rasterize_surfels
-from tests.cuda.machines import CARD, Machine, on_each_machine
+from tests.cuda.machines import GPU, Machine, on_each_machine
 from tests.optional import present
 
 NAMES = ("means", "quats", "scales", "opacities", "rgb")
@@ -57,7 +57,7 @@ def test_surfels_agree_with_the_processor(machine: Machine, shared_data: Path) -
     """
     folder = shared_data / "raster"
     ours = render(machine, folder, "s5k_128", rasterize_surfels, axes=2)
-    theirs = render(Machine("cpu", torch.device("cpu"), CARD.order), folder, "s5k_128", rasterize_surfels, axes=2)
+    theirs = render(Machine("cpu", torch.device("cpu"), GPU.order), folder, "s5k_128", rasterize_surfels, axes=2)
     difference = (ours[0] - theirs[0]).abs()
     assert difference.max() < 5e-3 and (difference > 1e-4).sum() < 20
     for name, a, b in zip(NAMES, ours[1], theirs[1], strict=True):

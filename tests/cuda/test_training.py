@@ -14,7 +14,7 @@ from mgsr.training import trainer
 from mgsr.training.branch import Branch
 from mgsr.training.control import TrainingControl
 from mgsr.training.run import Training
-from tests.cuda.machines import CARD, SHIM, Machine, on_each_machine
+from tests.cuda.machines import GPU, SHIM, Machine, on_each_machine
 from tests.optional import present
 from tests.training.ball import ball_points, ball_scene
 from tests.training.short_training import short, tensors
@@ -54,7 +54,7 @@ def test_training_ends_where_the_processor_does(machine: Machine) -> None:
 def test_reordered_splats_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """Check that reordering changes nothing.
 
-    Only a card reorders; here the processor does too, at every densification.
+    Only a GPU reorders; here the processor does too, at every densification.
     """
     reordered: list[int] = []
     adapt = Branch.adapt
@@ -78,9 +78,9 @@ def test_reordered_splats_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_checkpoint_serves_any_device(tmp_path: Path) -> None:
     """Check that restoring puts everything where the branch is.
 
-    With a card, what the processor saved goes on there.
+    With a GPU, what the processor saved goes on there.
     """
-    machine = CARD if torch.cuda.is_available() else SHIM
+    machine = GPU if torch.cuda.is_available() else SHIM
     scene, points, path = ball_scene(24, train=3, test=1), ball_points(80), tmp_path / "checkpoint.pt"
     Training(scene, points, short("2dgs", *QUICK), TrainingControl(checkpoint_path=path)).run()
     with machine.running():
@@ -91,13 +91,13 @@ def test_a_checkpoint_serves_any_device(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(torch, "AcceleratorError"), reason="NEEDS TORCH 2.8: older ones have no such error")
-def test_a_card_that_failed_is_told_with_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gpu_that_failed_is_told_with_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
     def failed(progress: object, bad: torch.Tensor | None = None) -> None:
         raise torch.AcceleratorError("CUDA error: an illegal memory access was encountered\nSearch for ...")
 
     monkeypatch.setattr(trainer, "step_trainables", failed)
     with pytest.raises(
-        GpuError, match=r"the card failed \(CUDA error: an illegal memory access was encountered\), .*--resume"
+        GpuError, match=r"the GPU failed \(CUDA error: an illegal memory access was encountered\), .*--resume"
     ):
         Training(ball_scene(24, train=3, test=1), ball_points(80), short("2dgs", *QUICK)).run()
 

@@ -13,7 +13,7 @@ from service.contract.settings import Settings
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = (ROOT / "deploy/env.example").read_text(encoding="utf-8")
 # Set by one process for its child, never by a person.
-INSIDE = {"MGSR_JOB", "MGSR_JOB_PARENT", "MGSR_WORKER_CARD"}
+INSIDE = {"MGSR_JOB", "MGSR_JOB_PARENT", "MGSR_WORKER_GPU"}
 
 
 def _read_by_settings() -> set[str]:

@@ -288,7 +288,7 @@ def test_the_stub_declares_what_is_there(family: ModuleType) -> None:
 @pytest.mark.parametrize(
     "path", sorted((Path(structs.__file__).parent / "cuda").glob("*.py")), ids=lambda each: each.name
 )
-def test_no_function_of_the_card_takes_more_arguments(path: Path) -> None:
+def test_no_function_of_the_gpu_takes_more_arguments(path: Path) -> None:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.FunctionDef):
             names = {each.arg for each in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)}

@@ -16,7 +16,7 @@ from playwright.sync_api import Browser, ConsoleMessage, Page, Request
 
 # A name of this machine that browsers don't trust as they trust `localhost`: some functions are missing there.
 OTHER_NAME = "capture.test"
-# As service.md has them: the drawing is done in software, where there is no graphics card.
+# As service.md has them: the drawing is done in software, where there is no GPU.
 FLAGS = [
     "--no-sandbox",
     "--use-angle=swiftshader",

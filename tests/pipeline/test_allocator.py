@@ -1,4 +1,4 @@
-"""Torch's allocator grows its segments of a card's memory, unless the user or the system wants it otherwise."""
+"""Torch's allocator grows its segments of a GPU's memory, unless the user or the system wants it otherwise."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mgsr.pipeline.device import OF_USER, prefer_expandable_segments
 
 
 @dataclass
-class Card:
+class Gpu:
     """A stand-in for a launcher."""
 
     maps: bool
@@ -25,8 +25,8 @@ class Card:
         return self.maps
 
 
-MAPS: Any = Card(maps=True)
-MAPS_NOT: Any = Card(maps=False)
+MAPS: Any = Gpu(maps=True)
+MAPS_NOT: Any = Gpu(maps=False)
 
 
 @pytest.fixture

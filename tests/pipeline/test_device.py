@@ -20,7 +20,7 @@ def test_the_processor_is_always_there(monkeypatch: pytest.MonkeyPatch) -> None:
         pick_device("tpu")
 
 
-def test_a_usable_card_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_usable_gpu_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "current_device", lambda: 0)
     monkeypatch.setattr(device, "cuda_launcher", lambda index: f"launcher {index}")
@@ -31,7 +31,7 @@ def test_a_usable_card_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     assert prepared == ["launcher 0", "launcher 0"]
 
 
-def test_a_card_that_can_not_be_used(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gpu_that_can_not_be_used(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(index: int) -> None:
         raise GpuError("the driver is old")
 

@@ -3,7 +3,7 @@
 It sees what the compiler emitted, with its fused operations, where tests/cuda_shim sees the source. NVRTC compiles a
 .cu file to PTX (nvrtc.py), which is read (ptx.py) and becomes C++ (translator.py): a function for each kernel, which
 returns wherever threads meet. machine/ holds the rest: instructions by PTX's names, the operations of warps, the order
-in which threads run, and the watch. launcher.py has the interface of a card's launcher.
+in which threads run, and the watch. launcher.py has the interface of a GPU's launcher.
 
-Not modelled: the driver's assembler, the order in which a card's memory shows what was written, time.
+Not modelled: the driver's assembler, the order in which a GPU's memory shows what was written, time.
 """

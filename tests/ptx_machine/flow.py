@@ -34,7 +34,7 @@ def trap(instruction: Instruction, scope: Scope) -> str:
 
 
 def active_mask(instruction: Instruction, scope: Scope) -> str:
-    """Translate activemask: each lane is on its own here, as lanes may be anywhere on a card."""
+    """Translate activemask: each lane is on its own here, as lanes may be anywhere on a GPU."""
     return f"write<uint32_t>({scope.place(instruction, instruction.operands[0])}, 1u << lane_of(thread));"
 
 

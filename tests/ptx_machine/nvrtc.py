@@ -1,4 +1,4 @@
-"""Compile kernels to PTX with NVRTC, as mgsr/native/cuda/compiler.py has them compiled for a card."""
+"""Compile kernels to PTX with NVRTC, as mgsr/native/cuda/compiler.py has them compiled for a GPU."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def missing_tools() -> str | None:
 
 
 def options(sources: Path, arch: str) -> list[str]:
-    """Return a card's options, and line numbers, which change no instruction."""
+    """Return a GPU's options, and line numbers, which change no instruction."""
     return [
         f"-arch={arch}",
         f"--include-path={sources}",

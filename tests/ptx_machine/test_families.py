@@ -64,7 +64,7 @@ def test_a_family_passes(name: str) -> None:
 def test_a_family_passes_with_less_exact_instructions(name: str) -> None:
     """Check a family where ex2, and division where it is approximate, are off by two units in the last place.
 
-    They may be on a card.
+    They may be on a GPU.
     """
     test, arguments = QUICK[name]
     test(replace(PTX, noise_ulps=2), **arguments)
@@ -75,6 +75,6 @@ def test_a_family_passes_with_less_exact_instructions(name: str) -> None:
 def test_every_instruction_is_known(source: Path, arch: str) -> None:
     """Check that every instruction is known, also where no test executes it.
 
-    Cards whose PTX the tests don't execute are among them.
+    Gpus whose PTX the tests don't execute are among them.
     """
     assert f"run_{source.stem.partition('_')[0]}" in translate(ptx_of(source, SOURCES, arch))

@@ -116,8 +116,8 @@ def test_noise_moves_approximate_results(tools: None) -> None:
     assert (noisy > exact).any() and (noisy < exact).any()
 
 
-def test_compiled_as_for_a_card(tools: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Check that kernels are compiled as for a card, with line numbers besides."""
+def test_compiled_as_for_a_gpu(tools: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Check that kernels are compiled as for a GPU, with line numbers besides."""
     import cuda.core
 
     given: list[Any] = []

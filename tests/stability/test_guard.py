@@ -68,8 +68,8 @@ def test_a_good_step_is() -> None:
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), 1e25])
 @pytest.mark.parametrize("name", ["means", "opacity_logits"])
-def test_on_a_card_a_bad_steps_gradients_count_as_zero(name: str, bad: float) -> None:
-    """Check that on a card a bad step's gradients count as zero.
+def test_on_a_gpu_a_bad_steps_gradients_count_as_zero(name: str, bad: float) -> None:
+    """Check that on a GPU a bad step's gradients count as zero.
 
     There nothing is read until the guard looks back; momentum goes on as after a gradient of zero.
     """
@@ -97,7 +97,7 @@ def test_on_a_card_a_bad_steps_gradients_count_as_zero(name: str, bad: float) ->
     ]
 
 
-def test_on_a_card_a_good_step_is_taken() -> None:
+def test_on_a_gpu_a_good_step_is_taken() -> None:
     with SHIM.running():
         stage, guard, _ = first_stage()
         (branch,) = stage.branches

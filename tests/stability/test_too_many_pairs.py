@@ -1,4 +1,4 @@
-"""More pairs of splats and tiles than the CPU's 32-bit places hold; `tests/cuda` has the card's refusal."""
+"""More pairs of splats and tiles than the CPU's 32-bit places hold; `tests/cuda` has the GPU's refusal."""
 
 from __future__ import annotations
 

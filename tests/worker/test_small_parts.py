@@ -262,10 +262,10 @@ def _alive(pid: int) -> bool:
         return False
 
 
-def test_all_cards_of_a_machine_without_any_are_one_message() -> None:
+def test_all_gpus_of_a_machine_without_any_are_one_message() -> None:
     """Check that the error is one message, for which CUDA is not loaded."""
     if nvidia_smi_runs():
-        pytest.skip("this machine has a card")
+        pytest.skip("this machine has a GPU")
     environment = os.environ | {"MGSR_REDIS_URL": "redis://127.0.0.1:1"}
     environment.pop("CUDA_VISIBLE_DEVICES", None)
     command = [sys.executable, "-m", "worker.cli", "--gpus", "all"]

@@ -1,4 +1,4 @@
-"""The division of an image into bands of tile rows, for images with more pairs than the card's memory holds.
+"""The division of an image into bands of tile rows, for images with more pairs than the GPU's memory holds.
 
 A pair is a splat and a tile that it touches. Pixels and gradients of a band do not depend on other bands, so bands
 change no result. The size of a band is estimated from the free memory. If it was too large, the band is computed again
@@ -22,8 +22,8 @@ from mgsr.native.cuda.tiles import THREADS, Band, Blended, CountParams, Projecte
 
 MAX_PAIRS = 2**31 - 1  # pairs have 32-bit numbers
 PAIR_BYTES = 450  # upper bound for a pair's lists, its gradient and its share of the pixels' states
-FEW = 16  # the free memory is not queried if the pairs need less than 1/FEW of the card's memory
-CURE = "use fewer or smaller splats, a smaller image or a card with more memory"
+FEW = 16  # the free memory is not queried if the pairs need less than 1/FEW of the GPU's memory
+CURE = "use fewer or smaller splats, a smaller image or a GPU with more memory"
 
 Result = TypeVar("Result")
 
@@ -146,7 +146,7 @@ def _halve(launcher: Launcher, projected: Projected, band: Band, reason: str) ->
         except torch.OutOfMemoryError as error:
             reason = str(error)
     raise GpuError(
-        f"the card's memory cannot hold {band.pairs} pairs of splats and tiles in {band.end - band.first} row(s) of "
+        f"the GPU's memory cannot hold {band.pairs} pairs of splats and tiles in {band.end - band.first} row(s) of "
         f"tiles ({reason}); {CURE}"
     )
 

@@ -72,8 +72,8 @@ def arch_for(major: int, minor: int) -> str:
     capable = [arch for arch in archs if arch[3:-1] == str(major) and int(arch[-1]) <= minor]
     if not capable:
         raise GpuError(
-            f"this card has compute capability {major}.{minor}, but the installed NVRTC compiles for "
-            f"{', '.join(archs)}; install a newer nvidia-cuda-nvrtc for a newer card, or use --device cpu for an "
+            f"this GPU has compute capability {major}.{minor}, but the installed NVRTC compiles for "
+            f"{', '.join(archs)}; install a newer nvidia-cuda-nvrtc for a newer GPU, or use --device cpu for an "
             "older one"
         )
     return capable[-1]

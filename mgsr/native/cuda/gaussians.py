@@ -123,7 +123,7 @@ class GaussianKernels:
     ) -> GaussianForwardState:
         """Render into the images and radii [N], and return the state for `backward`.
 
-        Raises GpuError if the card's memory is too small.
+        Raises GpuError if the GPU's memory is too small.
         """
         projected = project(self._launcher, "gaussians", GaussianProjectParams, splats_struct(splats, view), radii)
         transmittance = radii.new_empty(projected.height, projected.width)
@@ -143,7 +143,7 @@ class GaussianKernels:
     ) -> None:
         """Write the splats' gradients, given those of the images; `view` must be the frame's.
 
-        Raises GpuError if the card's memory is too small.
+        Raises GpuError if the GPU's memory is too small.
         """
         assert self._keep, "the render was made without a backward pass"
 

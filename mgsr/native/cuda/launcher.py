@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import torch
 
-from mgsr.errors import GpuError, LostCardError
+from mgsr.errors import GpuError, LostGpuError
 from mgsr.native.cuda.compiler import INSTALL, arch_for, compile_family
 
 # Driver errors after which a process can't use the GPU any more.
@@ -68,14 +68,14 @@ def use_launcher(launcher: Launcher) -> Iterator[None]:
 
 @cache
 def cuda_launcher(device: int) -> CudaLauncher:
-    """Return the launcher of a card, which holds the card's loaded kernels; each process makes it once."""
+    """Return the launcher of a GPU, which holds the GPU's loaded kernels; each process makes it once."""
     return CudaLauncher(device)
 
 
 class CudaLauncher:
     """A launcher on one GPU, which uses torch's current stream there.
 
-    Raises GpuError for a driver older than the compiler, and for a card that the compiler doesn't know.
+    Raises GpuError for a driver older than the compiler, and for a GPU that the compiler doesn't know.
     """
 
     def __init__(self, device: int) -> None:
@@ -109,10 +109,10 @@ class CudaLauncher:
             self._ask((self._driver.CUresult(status),), kernel)
 
     def maps_memory(self) -> bool:
-        """Return whether the driver maps memory of this card piece by piece, which some virtual cards refuse."""
-        card = self._ask(self._driver.cuDeviceGet(self._device))
+        """Return whether the driver maps memory of this GPU piece by piece, which some virtual GPUs refuse."""
+        gpu = self._ask(self._driver.cuDeviceGet(self._device))
         attribute = self._driver.CUdevice_attribute.CU_DEVICE_ATTRIBUTE_VIRTUAL_MEMORY_MANAGEMENT_SUPPORTED
-        return bool(self._ask(self._driver.cuDeviceGetAttribute(attribute, card)))
+        return bool(self._ask(self._driver.cuDeviceGetAttribute(attribute, gpu)))
 
     def _make_current(self) -> Any:
         """Make the GPU's context current in this thread, and return it.
@@ -120,8 +120,8 @@ class CudaLauncher:
         Torch's threads for backward have no context until torch itself launches something there, and the driver refuses
         a launch without a context.
         """
-        card = self._ask(self._driver.cuDeviceGet(self._device))
-        context = self._ask(self._driver.cuDevicePrimaryCtxRetain(card))
+        gpu = self._ask(self._driver.cuDeviceGet(self._device))
+        context = self._ask(self._driver.cuDevicePrimaryCtxRetain(gpu))
         self._ask(self._driver.cuCtxSetCurrent(context))
         return context
 
@@ -133,7 +133,7 @@ class CudaLauncher:
         try:
             handle = self._modules[family].get_kernel(kernel).handle
         except Exception as error:  # cuda-core's own class is private; its text begins with the driver's error name
-            raise _failure(f"{kernel} cannot be loaded on card {self._device}: {error}") from error
+            raise _failure(f"{kernel} cannot be loaded on GPU {self._device}: {error}") from error
         function = self._kernels[family, kernel] = int(handle)
         return function
 
@@ -142,7 +142,7 @@ class CudaLauncher:
         if int(status) != 0:
             _, name = self._driver.cuGetErrorName(status)
             _, text = self._driver.cuGetErrorString(status)
-            raise _failure(f"{what} failed on card {self._device}: {name.decode()}, {text.decode()}")
+            raise _failure(f"{what} failed on GPU {self._device}: {name.decode()}, {text.decode()}")
         return result[1] if len(result) > 1 else None
 
 
@@ -167,7 +167,7 @@ def _failure(text: str) -> GpuError | torch.OutOfMemoryError:
     """
     if "CUDA_ERROR_OUT_OF_MEMORY" in text:
         return torch.OutOfMemoryError(text)
-    return LostCardError(text) if any(name in text for name in LOST) else GpuError(text)
+    return LostGpuError(text) if any(name in text for name in LOST) else GpuError(text)
 
 
 def compiler_version() -> tuple[int, int]:

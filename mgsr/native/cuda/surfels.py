@@ -125,7 +125,7 @@ class SurfelKernels:
     ) -> SurfelForwardState:
         """Render into the images and radii [N], and return the state for `backward`.
 
-        Raises GpuError if the card's memory is too small.
+        Raises GpuError if the GPU's memory is too small.
         """
         projected = project(self._launcher, "surfels", SurfelProjectParams, _splats_struct(splats, view), radii)
         size = (projected.height, projected.width)
@@ -146,7 +146,7 @@ class SurfelKernels:
     ) -> None:
         """Write the splats' gradients, given those of the images.
 
-        Raises GpuError if the card's memory is too small.
+        Raises GpuError if the GPU's memory is too small.
         """
         assert self._keep, "the render was made without a backward pass"
 

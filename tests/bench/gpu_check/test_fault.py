@@ -1,4 +1,4 @@
-"""What a person sees when a card's kernels go wrong, with an error in the card's place."""
+"""What a person sees when a GPU's kernels go wrong, with an error in the GPU's place."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from mgsr.errors import GpuError
 
 def test_a_refusal_is_one_message(capsys: pytest.CaptureFixture[str]) -> None:
     def go_wrong() -> None:
-        raise GpuError("gaussians_blend_single failed on card 0: CUDA_ERROR_ILLEGAL_ADDRESS; start anew")
+        raise GpuError("gaussians_blend_single failed on GPU 0: CUDA_ERROR_ILLEGAL_ADDRESS; start anew")
 
     with pytest.raises(typer.Exit) as ended:
         fault.train_and_break("cpu", go_wrong)
     seen = capsys.readouterr().err
     assert fault.judge(ended.value.exit_code, seen) is None
-    assert seen == "error: gaussians_blend_single failed on card 0: CUDA_ERROR_ILLEGAL_ADDRESS; start anew\n"
+    assert seen == "error: gaussians_blend_single failed on GPU 0: CUDA_ERROR_ILLEGAL_ADDRESS; start anew\n"
 
 
 def test_a_traceback_is_none() -> None:

@@ -1,4 +1,4 @@
-"""`scripts/gpu_check.sh` on a machine without a card: every step starts, and fails for no other reason than that."""
+"""`scripts/gpu_check.sh` on a machine without a GPU: every step starts, and fails for no other reason than that."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from tests.training.ball import ball_points, ball_scene
 ROOT = Path(__file__).resolve().parents[3]
 SHORT = "warmup.surfel_iterations=20 warmup.gaussian_iterations=20 mutual.iterations=410 model_selection.iterations=0"
 NAMES = {number: [step.name for step in steps.parts()[number]] for number in (1, 2, 3)}
-# Without a card, and whatever the machine has installed.
-WITHOUT_CARD = re.compile(
-    r"no card: the installed torch (is built for the CPU only|sees no NVIDIA card or driver)|finds no usable card"
+# Without a GPU, and whatever the machine has installed.
+WITHOUT_GPU = re.compile(
+    r"no GPU: the installed torch (is built for the CPU only|sees no NVIDIA GPU or driver)|finds no usable GPU"
 )
 
 
@@ -97,16 +97,16 @@ def test_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert "PACKED: there is no" in capsys.readouterr().err
 
 
-def test_a_part_without_a_card(tmp_path: Path) -> None:
-    """Check that the first part's steps that ask for the card fail, and that a second call adds to the results."""
+def test_a_part_without_a_gpu(tmp_path: Path) -> None:
+    """Check that the first part's steps that ask for the GPU fail, and that a second call adds to the results."""
     skip = only("facts", "tests", part=1)
     done = check("1", tmp_path / "results", SKIP=skip)
     assert done.returncode == 1
     lines = (tmp_path / "results" / "summary.md").read_text().splitlines()
     failed = [line.split(":")[0] for line in lines if "FAILED, exit code 1" in line]
     assert failed == ["- facts", "- tests"]
-    assert "  - card: nvidia-smi does not answer" in lines or "  - card: " in "\n".join(lines)
-    assert WITHOUT_CARD.search((tmp_path / "results" / "tests.txt").read_text())
+    assert "  - GPU: nvidia-smi does not answer" in lines or "  - GPU: " in "\n".join(lines)
+    assert WITHOUT_GPU.search((tmp_path / "results" / "tests.txt").read_text())
     check("2", tmp_path / "results", SKIP=" ".join(NAMES[2]))
     after = (tmp_path / "results" / "summary.md").read_text().splitlines()
     assert after[: len(lines)] == lines and any(line.startswith("## Part 2") for line in after)
@@ -114,7 +114,7 @@ def test_a_part_without_a_card(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", [1, 2, 3])
-def test_every_step_fails_singly_without_a_card(part: int, tmp_path: Path, balls: Path) -> None:
+def test_every_step_fails_singly_without_a_gpu(part: int, tmp_path: Path, balls: Path) -> None:
     done = check(str(part), tmp_path / "results", balls)
     assert done.returncode == 1
     summary = (tmp_path / "results" / "summary.md").read_text()
@@ -126,13 +126,13 @@ def test_every_step_fails_singly_without_a_card(part: int, tmp_path: Path, balls
             continue
         assert state.startswith("FAILED"), name
         assert "is not installed" in state or "exit code 1" in state, name
-    assert len(WITHOUT_CARD.findall(text)) == sum("exit code 1" in state for state in states.values())
+    assert len(WITHOUT_GPU.findall(text)) == sum("exit code 1" in state for state in states.values())
     assert "Traceback" not in text
 
 
 @pytest.mark.slow
 def test_the_second_and_third_part_on_the_processor(tmp_path: Path, balls: Path) -> None:
-    """Check that every step that needs no card's own features does its work."""
+    """Check that every step that needs no GPU's own features does its work."""
     folder = tmp_path / "results"
     for part in ("2", "3"):
         check(part, folder, balls, DEVICE="cpu", SETTINGS=SHORT, RUNS="2")
@@ -170,7 +170,7 @@ def test_a_part_that_is_cut_off_keeps_what_it_measured(tmp_path: Path, balls: Pa
     assert (folder / "splats.zip").stat().st_size > 1000 and not (folder / "splats_unfinished.zip").exists()
 
 
-def test_the_cards_tests_need_none_of_the_libraries_that_a_bare_machine_lacks(tmp_path: Path) -> None:
+def test_the_gpus_tests_need_none_of_the_libraries_that_a_bare_machine_lacks(tmp_path: Path) -> None:
     lacking = ("open3d", "trimesh", "OpenImageIO", "pycolmap", "redis", "rq")
     (tmp_path / "lacking.py").write_text(f"import sys\nsys.modules.update(dict.fromkeys({lacking}))\n")
     variables = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}

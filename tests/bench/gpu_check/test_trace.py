@@ -95,10 +95,10 @@ def test_a_profile_of_a_training(tmp_path: Path) -> None:
     found = profile_training.profiled(content, CONFIG, CPU, count=5, after=1e9, work=tmp_path)
     assert found is not None
     assert (found.where.stage, found.where.iteration, found.where.total) == ("mutual", 20, 60)
-    assert [stretch.iterations for stretch in (found.plain, found.card, found.all)] == [10, 5, 5]
+    assert [stretch.iterations for stretch in (found.plain, found.gpu, found.all)] == [10, 5, 5]
     numbers = profile_training.numbers(found)
     assert 0.1 < numbers["wall_ms_each"] < 1000 and numbers["host_cpu_ms_each"] > 0
-    assert numbers["card_busy_ms_each"] == numbers["kernels_each"] == 0
+    assert numbers["gpu_busy_ms_each"] == numbers["kernels_each"] == 0
     assert 20 < numbers["torch_operations_each"] < 2000
     inside = [event for event in found.all.events if event.kind == "cpu_op"]
     assert inside[-1].begin - inside[0].begin <= found.all.wall * 1e3

@@ -32,7 +32,7 @@ inline int32_t sub_sat(int32_t a, int32_t b) { return clamp_to_int32(int64_t(a) 
 template <class T, IfInteger<T> = 0> T neg(T a) { return T(0 - uint64_t(a)); }
 template <class T, IfInteger<T> = 0> T abs(T a) { return a < 0 ? neg(a) : a; }
 
-// What a division by zero gives is left open by PTX; cards give all ones.
+// What a division by zero gives is left open by PTX; GPUs give all ones.
 template <class T, IfInteger<T> = 0> T div(T a, T b) {
   if (b == 0) return T(~T(0));
   if constexpr (std::is_signed_v<T>) if (b == T(-1)) return neg(a);

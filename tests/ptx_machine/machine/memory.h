@@ -87,7 +87,7 @@ class SharedMemory {
     states_.assign(bytes, kOutside);
     unit_ = unit;
   }
-  // Garbage that is neither zero nor a number, as a card leaves other blocks' values.
+  // Garbage that is neither zero nor a number, as a GPU leaves other blocks' values.
   void start_block() {
     cells_ = std::make_unique<Cells>(0, memory_.size(), unit_);
     std::fill(memory_.begin(), memory_.end(), (unsigned char)(0xff));

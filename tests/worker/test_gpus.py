@@ -1,4 +1,4 @@
-"""One worker for each card, by one command."""
+"""One worker for each GPU, by one command."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from tests.service.stack import ROOT, TINY_OPTIONS, Stack, kill_process
 from worker import start
 
 
-def cards_of(parent: int) -> dict[int, str]:
-    """Return the card that each child of a process may use, by the child's process id."""
+def gpus_of(parent: int) -> dict[int, str]:
+    """Return the GPU that each child of a process may use, by the child's process id."""
     found: dict[int, str] = {}
     for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
         with suppress(OSError):  # it has just ended
@@ -28,8 +28,8 @@ def cards_of(parent: int) -> dict[int, str]:
 
 
 @pytest.mark.slow
-def test_a_worker_for_each_card(tmp_path: Path, tiny_archive: bytes) -> None:
-    """Check that jobs that ask for a card wait for a worker with one, and that a signal to the first ends all."""
+def test_a_worker_for_each_gpu(tmp_path: Path, tiny_archive: bytes) -> None:
+    """Check that jobs that ask for a GPU wait for a worker with one, and that a signal to the first ends all."""
     with Stack(tmp_path, workers=1) as stack:
         job = stack.submitted(tiny_archive, TINY_OPTIONS | {"device": "cuda"})
         other = stack.submitted(tiny_archive, TINY_OPTIONS)
@@ -44,15 +44,15 @@ def test_a_worker_for_each_card(tmp_path: Path, tiny_archive: bytes) -> None:
         assert stack.http.get("/readyz").json()["workers"] == 1
 
 
-def test_a_cards_worker_that_dies_starts_again(tmp_path: Path) -> None:
+def test_a_gpus_worker_that_dies_starts_again(tmp_path: Path) -> None:
     with Stack(tmp_path, workers=0) as stack:
         command = [sys.executable, "-m", "worker.cli", "--gpus", "0,1"]
         with subprocess.Popen(command, env=stack.environment, cwd=ROOT) as workers:
             stack.wait_until_ready(2)
-            before = cards_of(workers.pid)
+            before = gpus_of(workers.pid)
             assert sorted(before.values()) == ["0", "1"]
             kill_process(max(before))
-            while max(before) in (now := cards_of(workers.pid)) or len(now) < 2:
+            while max(before) in (now := gpus_of(workers.pid)) or len(now) < 2:
                 time.sleep(0.1)
             assert sorted(now.values()) == ["0", "1"] and min(before) in now
             workers.terminate()
@@ -62,8 +62,8 @@ def test_a_cards_worker_that_dies_starts_again(tmp_path: Path) -> None:
 class Nvml(ModuleType):
     """A stand-in for pynvml.
 
-    cards: by uuid, model, and what MIG makes of it: the uuids at its places, None where there is no instance; "off"; or
-    "none" where the card has no MIG. fails: the function that fails.
+    GPUs: by uuid, model, and what MIG makes of it: the uuids at its places, None where there is no instance; "off"; or
+    "none" where the GPU has no MIG. fails: the function that fails.
     """
 
     NVML_DEVICE_MIG_ENABLE = 1
@@ -83,9 +83,9 @@ class Nvml(ModuleType):
     class NVMLError_NoPermission(NVMLError):  # noqa: N801
         pass
 
-    def __init__(self, *cards: tuple[str, str, list[str | None] | str], fails: str = "") -> None:
+    def __init__(self, *gpus: tuple[str, str, list[str | None] | str], fails: str = "") -> None:
         super().__init__("pynvml")
-        self._cards, self._fails = cards, fails
+        self._gpus, self._fails = gpus, fails
         self.open = 0
 
     def __getattribute__(self, name: str) -> Any:
@@ -101,29 +101,29 @@ class Nvml(ModuleType):
 
     def nvmlDeviceGetCount(self) -> int:  # noqa: N802
         assert self.open == 1
-        return len(self._cards)
+        return len(self._gpus)
 
     def nvmlDeviceGetHandleByIndex(self, index: int) -> tuple[int, int | None]:  # noqa: N802
         return index, None
 
     def nvmlDeviceGetName(self, handle: tuple[int, int | None]) -> str:  # noqa: N802
-        return self._cards[handle[0]][1]
+        return self._gpus[handle[0]][1]
 
     def nvmlDeviceGetUUID(self, handle: tuple[int, int | None]) -> str:  # noqa: N802
-        uuid, _, places = self._cards[handle[0]]
+        uuid, _, places = self._gpus[handle[0]]
         return uuid if handle[1] is None else str(places[handle[1]])
 
     def nvmlDeviceGetMigMode(self, handle: tuple[int, int | None]) -> list[int]:  # noqa: N802
-        mig = self._cards[handle[0]][2]
+        mig = self._gpus[handle[0]][2]
         if mig == "none":
             raise Nvml.NVMLError_NotSupported("Not Supported")
         return [0, 1] if mig == "off" else [1, 1]
 
     def nvmlDeviceGetMaxMigDeviceCount(self, handle: tuple[int, int | None]) -> int:  # noqa: N802
-        return len(self._cards[handle[0]][2])
+        return len(self._gpus[handle[0]][2])
 
     def nvmlDeviceGetMigDeviceHandleByIndex(self, handle: tuple[int, int | None], place: int) -> Any:  # noqa: N802
-        if self._cards[handle[0]][2][place] is None:
+        if self._gpus[handle[0]][2][place] is None:
             raise Nvml.NVMLError_NotFound("Not Found")
         return handle[0], place
 
@@ -158,7 +158,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         ([EMPTY, A100], ["GPU-a100"]),
     ],
 )
-def test_all_cards_are_those_that_nvml_lists(machine: list[Any], devices: list[str], monkeypatch: Any) -> None:
+def test_all_gpus_are_those_that_nvml_lists(machine: list[Any], devices: list[str], monkeypatch: Any) -> None:
     nvml = Nvml(*machine)
     monkeypatch.setitem(sys.modules, "pynvml", nvml)
     assert started(monkeypatch) == devices
@@ -180,7 +180,7 @@ def test_all_cards_are_those_that_nvml_lists(machine: list[Any], devices: list[s
         ("7", "", [A100], ["7"]),
     ],
 )
-def test_the_environment_limits_all_cards(
+def test_the_environment_limits_all_gpus(
     visible: str, order: str, machine: list[Any], devices: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pynvml", Nvml(*machine))
@@ -198,11 +198,11 @@ def test_what_the_environment_names_needs_no_nvml(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize(
     ("visible", "machine"), [(None, []), (None, [EMPTY]), ("", [A100]), ("-1", [A100]), ("0", [EMPTY])]
 )
-def test_no_card_is_told(visible: str | None, machine: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_gpu_is_told(visible: str | None, machine: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pynvml", Nvml(*machine))
     if visible is not None:
         monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
-    with pytest.raises(SetupError, match="--gpus all: found no NVIDIA driver or card"):
+    with pytest.raises(SetupError, match="--gpus all: found no NVIDIA driver or GPU"):
         start.start_workers("all")
 
 

@@ -14,14 +14,14 @@ from typing import Any
 
 from service.contract.errors import SetupError
 
-NAME_THEM = "or name the cards by number: --gpus 0,1"
+NAME_THEM = "or name the GPUs by number: --gpus 0,1"
 
 
 @dataclass(frozen=True)
-class Card:
-    """A card as NVML reports it.
+class Gpu:
+    """A GPU as NVML reports it.
 
-    uuid: GPU-.... model: its name. instances: the uuids (MIG-...) of the instances into which MIG divides the card,
+    uuid: GPU-.... model: its name. instances: the uuids (MIG-...) of the instances into which MIG divides the GPU,
     or None if MIG is off.
     """
 
@@ -30,8 +30,8 @@ class Card:
     instances: tuple[str, ...] | None
 
 
-def all_cards() -> list[str]:
-    """Return every device that this process may use: cards, and the instances of a card in MIG mode.
+def all_gpus() -> list[str]:
+    """Return every device that this process may use: GPUs, and the instances of a GPU in MIG mode.
 
     CUDA_VISIBLE_DEVICES limits them if it is set. Raises SetupError if there is none, or NVML fails.
     """
@@ -39,60 +39,60 @@ def all_cards() -> list[str]:
     found = _named_by_nvml() if visible is None else _named_by(visible)
     if not found:
         raise SetupError(
-            "--gpus all: found no NVIDIA driver or card; CUDA_VISIBLE_DEVICES may hide it, or MIG is on without an "
+            "--gpus all: found no NVIDIA driver or GPU; CUDA_VISIBLE_DEVICES may hide it, or MIG is on without an "
             "instance (nvidia-smi -L lists them); remove --gpus to use the CPU"
         )
     return found
 
 
 def _named_by_nvml() -> list[str]:
-    """Return the devices by number if each card is one device, else by uuid.
+    """Return the devices by number if each GPU is one device, else by uuid.
 
-    CUDA numbers cards in MIG mode differently.
+    CUDA numbers GPUs in MIG mode differently.
     """
-    cards = ask_nvml()
-    if all(card.instances is None for card in cards):
-        return [str(number) for number, _ in enumerate(cards)]
-    return [uuid for card in cards for uuid in _devices(card)]
+    gpus = ask_nvml()
+    if all(gpu.instances is None for gpu in gpus):
+        return [str(number) for number, _ in enumerate(gpus)]
+    return [uuid for gpu in gpus for uuid in _devices(gpu)]
 
 
 def _named_by(visible: str) -> list[str]:
     """Return the devices that CUDA_VISIBLE_DEVICES names, up to the first invalid entry, as CUDA does.
 
-    A card in MIG mode stands for its instances. NVML is not needed for the other cards.
+    A GPU in MIG mode stands for its instances. NVML is not needed for the other GPUs.
     """
     names = [name.strip() for name in visible.split(",")]
     names = list(takewhile(lambda name: name and not name.startswith("-"), names))
     try:
-        cards = ask_nvml() if names else []
+        gpus = ask_nvml() if names else []
     except SetupError:
         return names
-    return list(dict.fromkeys(device for name in names for device in _resolve(name, cards)))
+    return list(dict.fromkeys(device for name in names for device in _resolve(name, gpus)))
 
 
-def _resolve(name: str, cards: list[Card]) -> tuple[str, ...]:
-    named = _find(name, cards)
+def _resolve(name: str, gpus: list[Gpu]) -> tuple[str, ...]:
+    named = _find(name, gpus)
     return (name,) if named is None or named.instances is None else _devices(named)
 
 
-def _find(name: str, cards: list[Card]) -> Card | None:
-    """Return the card with a number, or with a uuid that begins with `name`.
+def _find(name: str, gpus: list[Gpu]) -> Gpu | None:
+    """Return the GPU with a number, or with a uuid that begins with `name`.
 
-    NVML orders cards by their places on the bus. CUDA orders them by speed unless CUDA_DEVICE_ORDER says otherwise. A
-    number means the same to both only if all cards are of one model.
+    NVML orders GPUs by their places on the bus. CUDA orders them by speed unless CUDA_DEVICE_ORDER says otherwise. A
+    number means the same to both only if all GPUs are of one model.
     """
     if not name.isdecimal():
-        return next((card for card in cards if card.uuid.startswith(name)), None)
-    same = os.environ.get("CUDA_DEVICE_ORDER") == "PCI_BUS_ID" or len({card.model for card in cards}) == 1
-    return cards[int(name)] if same and int(name) < len(cards) else None
+        return next((gpu for gpu in gpus if gpu.uuid.startswith(name)), None)
+    same = os.environ.get("CUDA_DEVICE_ORDER") == "PCI_BUS_ID" or len({gpu.model for gpu in gpus}) == 1
+    return gpus[int(name)] if same and int(name) < len(gpus) else None
 
 
-def _devices(card: Card) -> tuple[str, ...]:
-    return (card.uuid,) if card.instances is None else card.instances
+def _devices(gpu: Gpu) -> tuple[str, ...]:
+    return (gpu.uuid,) if gpu.instances is None else gpu.instances
 
 
-def ask_nvml() -> list[Card]:
-    """Return the cards of this machine or container.
+def ask_nvml() -> list[Gpu]:
+    """Return the GPUs of this machine or container.
 
     Raises SetupError if NVML or its package is missing or fails.
     """
@@ -100,12 +100,12 @@ def ask_nvml() -> list[Card]:
         import pynvml
     except ImportError as error:
         raise SetupError(
-            f"--gpus all: counting cards requires the package nvidia-ml-py; run pip install 'mgsr[cuda]', {NAME_THEM}"
+            f"--gpus all: counting GPUs requires the package nvidia-ml-py; run pip install 'mgsr[cuda]', {NAME_THEM}"
         ) from error
     with _nvml(pynvml):
         handles = [pynvml.nvmlDeviceGetHandleByIndex(i) for i in range(pynvml.nvmlDeviceGetCount())]
         return [
-            Card(pynvml.nvmlDeviceGetUUID(h), pynvml.nvmlDeviceGetName(h), _mig_instances(pynvml, h)) for h in handles
+            Gpu(pynvml.nvmlDeviceGetUUID(h), pynvml.nvmlDeviceGetName(h), _mig_instances(pynvml, h)) for h in handles
         ]
 
 
@@ -128,7 +128,7 @@ def _nvml(pynvml: Any) -> Iterator[None]:
 def _mig_instances(pynvml: Any, handle: Any) -> tuple[str, ...] | None:
     try:
         mode, _ = pynvml.nvmlDeviceGetMigMode(handle)
-    except (pynvml.NVMLError_NotSupported, pynvml.NVMLError_FunctionNotFound):  # card or driver does not support MIG
+    except (pynvml.NVMLError_NotSupported, pynvml.NVMLError_FunctionNotFound):  # GPU or driver does not support MIG
         return None
     if mode != pynvml.NVML_DEVICE_MIG_ENABLE:
         return None

@@ -1,4 +1,4 @@
-"""Run pytest where there is a card, and count its outcomes: without one, tests are skipped, and nothing is shown."""
+"""Run pytest where there is a GPU, and count its outcomes: without one, tests are skipped, and nothing is shown."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections import Counter
 
 import pytest
 
-from benchmarks.gpu_check.arguments import require_card
+from benchmarks.gpu_check.arguments import require_gpu
 from benchmarks.gpu_check.results import tell
 
 
@@ -24,10 +24,10 @@ class Outcomes:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--device", default="cuda", help="cpu runs the tests without a card")
+    parser.add_argument("--device", default="cuda", help="cpu runs the tests without a GPU")
     parser.add_argument("words", nargs="+", help="arguments for pytest, after --")
     args = parser.parse_args()
-    require_card(args.device)
+    require_gpu(args.device)
     outcomes = Outcomes()
     # -vv: a line for each test as it ends, so that a run which is cut off tells how far it came.
     code = pytest.main(["-vv", "-p", "no:cacheprovider", *args.words], plugins=[outcomes])

@@ -10,6 +10,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from mgsr.config import MeshConfig
 from mgsr.data.camera import Camera
 
+OPPOSITE = 0.1  # of their distance; two cameras whose middle is nearer to the centre are opposite, with no direction
+# between them
+
 
 def surface_cameras(train_cameras: Sequence[Camera], config: MeshConfig) -> list[Camera]:
     """Return the training cameras and up to config.extra_views more between neighbours, sized for surface extraction.
@@ -49,7 +52,7 @@ def _halfway(first: Camera, second: Camera) -> Camera:
     rotation = Slerp([0, 1], rotations)(0.5).as_matrix()
     middle = (first.center + second.center) / 2
     distance = (np.linalg.norm(first.center) + np.linalg.norm(second.center)) / 2
-    if np.linalg.norm(middle) > 0.1 * distance:  # else the cameras are opposite, and no direction lies between
+    if np.linalg.norm(middle) > OPPOSITE * distance:
         middle *= distance / np.linalg.norm(middle)
     pose = np.eye(4)
     pose[:3, :3] = rotation

@@ -13,6 +13,7 @@ from mgsr.mesh.views import SurfaceView
 from mgsr.open3d_library import load_open3d
 
 BLOCK = 16  # voxels along a block's edge
+BLOCKS = 4000  # blocks for which memory is reserved at first; the grid grows beyond
 
 
 def tsdf_surface(
@@ -41,7 +42,7 @@ def tsdf_surface(
 def _empty_grid(voxel: float) -> Any:
     open3d = load_open3d()
     single = open3d.core.float32
-    return open3d.t.geometry.VoxelBlockGrid(("tsdf", "weight"), (single, single), ((1), (1)), voxel, BLOCK, 4000)
+    return open3d.t.geometry.VoxelBlockGrid(("tsdf", "weight"), (single, single), ((1), (1)), voxel, BLOCK, BLOCKS)
 
 
 def _integrate(grid: Any, view: SurfaceView, voxel: float, truncation: float, rules: PixelRules) -> None:

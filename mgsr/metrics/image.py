@@ -10,6 +10,8 @@ from scipy.ndimage import gaussian_filter, minimum_filter
 
 from mgsr.data.backdrop import WHITE, Color
 
+C1, C2 = 0.01**2, 0.03**2  # the constants of SSIM, for values of 0..1
+
 
 def composited(rgba: np.ndarray, background: Color = WHITE) -> np.ndarray:
     """Composite straight-alpha RGBA [H,W,4] on a colour, in sRGB, and return [H,W,3] float64; RGB stays as it is."""
@@ -45,7 +47,7 @@ def psnr_after_gain(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> f
 def ssim(truth: np.ndarray, image: np.ndarray, valid: np.ndarray | None = None) -> float:
     """Return the mean structural similarity of truth and image [H,W,3] over the channels and the pixels.
 
-    The window is Gaussian, 11 x 11 with sigma 1.5, and the constants are 0.01 and 0.03. A pixel counts if its whole
+    The window is Gaussian, 11 x 11 with sigma 1.5, and the constants are C1 and C2. A pixel counts if its whole
     window lies inside the image, on valid pixels [H,W]; the result is NaN if no pixel counts. Source: Wang et al. 2004.
     """
 
@@ -56,8 +58,8 @@ def ssim(truth: np.ndarray, image: np.ndarray, valid: np.ndarray | None = None) 
     a, b = truth.astype(np.float64), image.astype(np.float64)
     mean_a, mean_b = blur(a), blur(b)
     var_a, var_b, both = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2, blur(a * b) - mean_a * mean_b
-    value = (2 * mean_a * mean_b + 1e-4) * (2 * both + 9e-4)
-    value /= (mean_a**2 + mean_b**2 + 1e-4) * (var_a + var_b + 9e-4)
+    value = (2 * mean_a * mean_b + C1) * (2 * both + C2)
+    value /= (mean_a**2 + mean_b**2 + C1) * (var_a + var_b + C2)
     if valid is None:
         return float(value[5:-5, 5:-5].mean())
     whole = minimum_filter(valid, 11, mode="constant", cval=False)

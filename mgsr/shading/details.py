@@ -18,6 +18,7 @@ from scipy import linalg, ndimage
 from mgsr.config.expert import DetailOptions
 from mgsr.data.images import srgb_rate
 from mgsr.data.photograph import Photograph
+from mgsr.data.robust import robust_deviation
 from mgsr.geometry.displace import diffuse
 from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import map_ahead
@@ -27,6 +28,7 @@ from mgsr.shading.lighting import GAMMA, Lighting
 from mgsr.shading.observations import lie_within, sample_image, seen_frontal
 
 GREY = np.full(3, 1 / 3)  # the mean of the channels
+DIFFERENCE = 0.1  # pixels; the displacement for derivatives by finite differences
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,7 @@ def choose_mix(
     residual = np.stack([centered(channel.mixed, weights)[weights > 0] for channel in channels])
     change = np.stack([centered(channel.change, weights)[weights > 0] for channel in channels])
     residual_energy = np.abs(GREY @ residual)
-    usual = residual_energy <= options.max_deviations * 1.4826 * np.median(residual_energy) if weights.any() else []
+    usual = residual_energy <= options.max_deviations * robust_deviation(residual_energy) if weights.any() else []
     weighed = weights[weights > 0] * usual
     noise, steep = ((weighed * part) @ part.T for part in (residual, change))
     noise += (1e-6 * np.trace(noise) + 1e-12) * np.eye(3)
@@ -167,8 +169,8 @@ def _read_one(surface: ObservedMesh, mix: ChannelMix, light: KnownLight) -> np.n
     """Sample one photograph: return its column [4,V] of `Details`, in the order of the fields."""
     camera, places, normals = mix.photograph.camera, surface.mesh.vertices, surface.mesh.double_normals
     samples = sample_view(surface, mix, light)
-    step = 0.1 * surface.pixel * normals[samples.seen]
-    moved = 10 * (camera.project(places[samples.seen] + step)[0] - samples.pixels)
+    step = DIFFERENCE * surface.pixel * normals[samples.seen]
+    moved = 1 / DIFFERENCE * (camera.project(places[samples.seen] + step)[0] - samples.pixels)
     column = np.zeros((4, len(places)), np.float32)
     column[0, samples.seen] = sample_image(mix.mixed, samples.pixels) / samples.irradiance_factor
     column[1, samples.seen] = (mix.slopes(samples.pixels) * moved).sum(axis=1) / samples.irradiance_factor

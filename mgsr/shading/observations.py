@@ -15,6 +15,8 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
 
+INSIDE = 0.99  # least interpolated value of a mask at a pixel whose neighbours all lie inside
+
 
 @dataclass(frozen=True)
 class Observations:
@@ -106,7 +108,7 @@ def sample_image(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 
 def lie_within(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """Return which of the `pixels` [P,2] have only neighbours inside a mask [H,W] bool, as [P] bool."""
-    return sample_image(mask.astype(np.float32), pixels) > 0.99
+    return sample_image(mask.astype(np.float32), pixels) > INSIDE
 
 
 def _arrays(observations: Observations) -> tuple[np.ndarray, ...]:

@@ -11,6 +11,7 @@ from benchmarks.evidence.ablations import ablation_section, choices_section
 from benchmarks.evidence.exposures import exposure_section
 from benchmarks.evidence.kernel_plot import write_kernel_plot
 from benchmarks.evidence.kernels import kernel_section
+from benchmarks.evidence.quality_over_time import PLOT, quality_section, write_quality_plot
 from benchmarks.evidence.relighting import relighting_section
 from benchmarks.evidence.result_files import IMAGES, Evidence, image, read_evidence
 from benchmarks.evidence.scene_needs import need_section
@@ -32,6 +33,8 @@ def write_evidence(results: Path, docs: Path) -> Path:
     points = [(row.kernel, row.variant, row.cost, row.error_max) for row in evidence.kernels]
     if points:
         write_kernel_plot(docs / IMAGES / "kernels.svg", points)
+    if evidence.quality:
+        write_quality_plot(docs / IMAGES / PLOT, evidence.quality)
     (docs / PAGE).write_text(evidence_page(evidence), encoding="utf-8")
     return docs / PAGE
 
@@ -44,6 +47,7 @@ def evidence_page(evidence: Evidence) -> str:
         surface_section(evidence),
         sets_section(evidence.sets),
         methods_section(evidence),
+        quality_section(evidence.quality, f"![PSNR and Chamfer over the seconds of runs]({image(PLOT)})"),
         curve_section(evidence),
         light_section(evidence),
         _need_section(evidence),

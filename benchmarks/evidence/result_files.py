@@ -8,6 +8,7 @@ from pathlib import Path
 
 from benchmarks.evidence.exposures import EXPOSURES, ExposureRow
 from benchmarks.evidence.kernels import CHOICES, KERNELS, KernelRow, read_kernels
+from benchmarks.evidence.quality_over_time import QUALITY, QualityRow
 from benchmarks.evidence.relighting import RELIGHTING, RelightingRow
 from benchmarks.evidence.scene_sets import SETS, SetRow
 from benchmarks.evidence.surface_parts import FINISH_PARTS, START_PARTS, PartRow
@@ -48,6 +49,7 @@ class Evidence:
     start: list[PartRow] = field(default_factory=list)
     finish: list[PartRow] = field(default_factory=list)
     relighting: list[RelightingRow] = field(default_factory=list)
+    quality: list[QualityRow] = field(default_factory=list)
 
     @property
     def all_rows(self) -> list[Row]:
@@ -69,7 +71,10 @@ def read_evidence(results: Path) -> Evidence:
     sets = read_csv(results / SETS, SetRow)
     start, finish = (read_csv(results / name, PartRow) for name in (START_PARTS, FINISH_PARTS))
     relighting = read_csv(results / RELIGHTING, RelightingRow)
-    return Evidence(newest, curves, scenes, kernels, exposures, behind, choices, sets, start, finish, relighting)
+    quality = read_csv(results / QUALITY, QualityRow)
+    return Evidence(
+        newest, curves, scenes, kernels, exposures, behind, choices, sets, start, finish, relighting, quality
+    )
 
 
 def image(name: str) -> str:

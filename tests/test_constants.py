@@ -269,6 +269,7 @@ REMAINING = {
     "mesh/steps/step.SHOWN": PROGRESS,
     "mesh/steps/step.USUAL_CELLS": PROGRESS,
     "mesh/steps/step.VERTEX_GROWTH": PROGRESS,
+    "mesh/sharpening.AROUND": SOLVER,
     "mesh/tsdf.BLOCK": BATCH,
     "mesh/tsdf.BLOCKS": BATCH,
     "metrics/image.C1": SCORES,

@@ -14,6 +14,7 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster, RayHits
 from mgsr.geometry.triangles import unit_vectors
 from mgsr.mesh.colors import blended_colors
+from mgsr.mesh.sharpening import sharpened
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.mesh.unwrap import UnwrappedMesh
 from mgsr.mesh.views import SurfaceView
@@ -88,7 +89,8 @@ def bake_colors(
     """Return the texels' colours [T,3] float32 sRGB 0..1.
 
     Each blends the views that see its place, as in `blended_colors`, but visibility comes from ray casting the full
-    surface, and pixels at occlusion edges do not count. A texel that no view sees takes the vertices' colours.
+    surface, and pixels at occlusion edges do not count. A texel that no view sees takes the vertices' colours. The
+    blended colours are then sharpened (`mgsr.mesh.sharpening`).
     """
     visible = [_with_depth_of(full.caster, view, options.occlusion_edge) for view in views]
     tolerance = config.consistency or options.tolerance
@@ -101,7 +103,7 @@ def bake_colors(
         face, shares = full.caster.nearest(points[~seen])
         colors[~seen] = interpolated(full.colors, full.faces[face], shares)
         painted[part] = colors
-    return painted
+    return sharpened(painted, texels.points, texels.normals, visible, config.min_alpha, tolerance, threads, options)
 
 
 def bake_normals(texels: Texels, unwrapped: UnwrappedMesh, min_z: float = TextureOptions().min_z) -> np.ndarray:

@@ -49,13 +49,44 @@ def blended_colors(
     `tolerance` pixel footprints of its depth. Returns colours [P,3] float32 sRGB 0..1, and which points any view shows,
     [P] bool. A colour is a weighted mean: head-on views count more, and colours far from the mean count less.
     """
-    samples = list(
-        map_ahead(lambda view: _view_colors(points, normals, view, min_alpha, tolerance, options), views, threads)
-    )
+
+    def read(view: SurfaceView) -> _ViewColors:
+        shown = shown_points(points, normals, view, min_alpha, tolerance, options.grazing)
+        return _ViewColors(shown.index, sample(view.color, shown.pixels), shown.weights)
+
+    samples = list(map_ahead(read, views, threads))
     mean, total = _blend(samples, len(points), None, options)
     for _ in range(options.rounds):
         mean, _ = _blend(samples, len(points), mean, options)
     return np.clip(mean, 0, 1), total > 0
+
+
+@dataclass(frozen=True)
+class ShownPoints:
+    """The points that one view shows: their indices [Q], pixels [Q,2] float32, and weights [Q].
+
+    A weight is the squared cosine between the normal and the direction to the camera.
+    """
+
+    index: np.ndarray
+    pixels: np.ndarray
+    weights: np.ndarray
+
+
+def shown_points(
+    points: np.ndarray, normals: np.ndarray, view: SurfaceView, min_alpha: float, tolerance: float, grazing: float
+) -> ShownPoints:
+    """Find the points [P,3] with unit normals [P,3] that a view shows.
+
+    They face the view at a cosine above `grazing`, and lie within `tolerance` pixel footprints of its depth.
+    """
+    index, pixels, depths = project(view.camera, points)
+    to_camera = view.camera.center.astype(np.float32) - points[index].astype(np.float32)
+    cosines = (to_camera * normals[index]).sum(1) / np.linalg.norm(to_camera, axis=1)
+    limit = depth_limits(tolerance, depths, cosines, view.camera)
+    shown = (cosines > grazing) & (np.abs(nearest(view.depth, pixels) - depths) <= limit)
+    shown &= nearest(view.usable(min_alpha), pixels)
+    return ShownPoints(index[shown], pixels[shown], cosines[shown] ** 2)
 
 
 @dataclass(frozen=True)
@@ -65,24 +96,6 @@ class _ViewColors:
     index: np.ndarray
     colors: np.ndarray
     weights: np.ndarray
-
-
-def _view_colors(
-    vertices: np.ndarray,
-    normals: np.ndarray,
-    view: SurfaceView,
-    min_alpha: float,
-    tolerance: float,
-    options: ColorOptions,
-) -> _ViewColors:
-    """Return the colours of the vertices [V,3] with unit normals [V,3] that a view shows."""
-    index, pixels, depths = project(view.camera, vertices)
-    to_camera = view.camera.center.astype(np.float32) - vertices[index].astype(np.float32)
-    cosines = (to_camera * normals[index]).sum(1) / np.linalg.norm(to_camera, axis=1)
-    limit = depth_limits(tolerance, depths, cosines, view.camera)
-    shown = (cosines > options.grazing) & (np.abs(nearest(view.depth, pixels) - depths) <= limit)
-    shown &= nearest(view.usable(min_alpha), pixels)
-    return _ViewColors(index[shown], sample(view.color, pixels[shown]), cosines[shown] ** 2)
 
 
 def _blend(

@@ -47,6 +47,8 @@ class ColorOptions(Options):
     grazing: Share = 0.05  # cosine between normal and view direction at which a view stops showing a point
     occlusion_edge: Positive = 10.0  # footprints by which the depths around a pixel of a texture may differ; more is an
     # occlusion edge
+    back_projections: WholeNumber = 3  # rounds of iterative back-projection, which sharpens textures
+    min_texels: NotNegative = 0.5  # mean number of texels in a pixel of a view; with fewer, the pixel sharpens none
 
 
 @dataclass(frozen=True)

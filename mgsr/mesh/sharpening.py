@@ -52,7 +52,7 @@ def sharpened(
         for index, differences, weights in map_ahead(difference, views, threads):
             sums[index] += differences * weights[:, None]
             total[index] += weights
-        colors = np.clip(colors + sums / np.maximum(total, 1e-12)[:, None], 0, 1)
+        colors = np.clip(colors + sums / (total + options.prior_weight)[:, None], 0, 1)
     return colors
 
 

@@ -89,6 +89,19 @@ def test_textures_coarser_than_the_views_stay() -> None:
     assert change(ColorOptions()) < 0.1 * change(ColorOptions(min_texels=0.0))
 
 
+def test_few_views_sharpen_less() -> None:
+    def change(views: int) -> float:
+        """Return the mean change of the texels that a number of views show."""
+        points, normals = points_on_ball(8000)
+        seen_by = photographed(cameras_around(24, side=SIDE)[12 : 12 + views], stripes)
+        blended, seen = blended_colors(points, normals, seen_by, 0.5, TOLERANCE)
+        sharp = sharpened(blended, points, normals, seen_by, 0.5, TOLERANCE)
+        np.testing.assert_array_equal(sharp[~seen], blended[~seen])
+        return float(np.abs(sharp - blended)[seen].mean())
+
+    assert change(1) < 0.7 * change(12)
+
+
 def test_without_rounds_nothing_is_sharpened() -> None:
     _, blended, sharp = colors_of(8000, stripes, ColorOptions(back_projections=0))
     np.testing.assert_array_equal(sharp, blended)

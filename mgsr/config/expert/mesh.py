@@ -48,6 +48,8 @@ class ColorOptions(Options):
     occlusion_edge: Positive = 10.0  # footprints by which the depths around a pixel of a texture may differ; more is an
     # occlusion edge
     back_projections: WholeNumber = 3  # rounds of iterative back-projection, which sharpens textures
+    prior_weight: Positive = 1.0  # weight of no change in back-projection, because few views tell little; the weight of
+    # a head-on view is 1
     min_texels: NotNegative = 0.5  # mean number of texels in a pixel of a view; with fewer, the pixel sharpens none
 
 

@@ -64,8 +64,8 @@ def write_quality_plot(path: Path, rows: Sequence[QualityRow]) -> Path:
                     own = [row for row in rows if (row.scene, row.program) == (scene, program)]
                     values = [getattr(row, score) for row in own]
                     panel.plot([row.seconds for row in own], values, "o-", markersize=4, color=color, label=program)
-                panel.set_xlim(left=0)
                 panel.set_ylabel(label if column == 0 else "")
+        panels[0][0].set_xlim(left=0)  # of all panels, which share the axis
         figure.legend(*panels[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=len(colors))
         return write_svg(figure, path)
 
@@ -77,18 +77,14 @@ def quality_section(rows: Sequence[QualityRow], plot: str) -> str:
     """
     if not rows:
         return ""
-    by = {row.cell[:2]: row for row in rows if row.program == Program.BEFORE}
-    pairs = [(by[row.cell[:2]], row) for row in rows if row.program == Program.AFTER]
+    pairs = _pairs(rows)
     cells = [
         [new.scene, f"{new.budget:g}", f"{old.seconds:.0f}", f"{new.seconds:.0f}", f"{old.psnr:.2f}",
          f"{new.psnr:.2f}", f"{old.chamfer:.2f}", f"{new.chamfer:.2f}"]
         for old, new in pairs
     ]  # fmt: skip
     gains = [
-        f"- {budget:g} s: PSNR {mean(new.psnr - old.psnr for old, new in own):+.2f} dB, "
-        f"Chamfer {mean(new.chamfer - old.chamfer for old, new in own):+.2f}."
-        for budget in sorted({new.budget for _, new in pairs})
-        if (own := [(old, new) for old, new in pairs if new.budget == budget])
+        f"- {budget:g} s: PSNR {psnr:+.2f} dB, Chamfer {chamfer:+.2f}." for budget, psnr, chamfer in mean_gains(rows)
     ]
     return "\n\n".join(
         (
@@ -106,6 +102,25 @@ def quality_section(rows: Sequence[QualityRow], plot: str) -> str:
             "\n".join(gains),
         )
     )
+
+
+def mean_gains(rows: Sequence[QualityRow]) -> list[tuple[float, float, float]]:
+    """Return each budget with the mean differences of PSNR and of Chamfer, after minus before."""
+    pairs = _pairs(rows)
+    found = []
+    for budget in sorted({new.budget for _, new in pairs}):
+        own = [(old, new) for old, new in pairs if new.budget == budget]
+        psnr, chamfer = (
+            mean(getattr(new, name) - getattr(old, name) for old, new in own) for name in ("psnr", "chamfer")
+        )
+        found.append((budget, psnr, chamfer))
+    return found
+
+
+def _pairs(rows: Sequence[QualityRow]) -> list[tuple[QualityRow, QualityRow]]:
+    """Return the runs of both programs with equal scene and budget, the older program's first."""
+    by = {row.cell[:2]: row for row in rows if row.program == Program.BEFORE}
+    return [(by[row.cell[:2]], row) for row in rows if row.program == Program.AFTER]
 
 
 def _commits(rows: Sequence[QualityRow], program: Program) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from benchmarks.evidence.comparing import compare, is_busy, plain_runs
+from benchmarks.evidence.quality_over_time import mean_gains
 from benchmarks.evidence.result_files import Evidence
 from benchmarks.evidence.training_length import early_ends
 from mgsr.bench.results import Row
@@ -29,6 +30,11 @@ def _weak_scores(evidence: Evidence) -> list[str]:
         )
     low = [row for row in mgsr.values() if row.f_score is not None and row.f_score < 0.8]
     points += [f"On {row.scene} only {row.f_score:.0%} of the surface lies within 0.5% (F)." for row in low]
+    points += [
+        f"With a time budget of {budget:g} s, an older program renders better by {-psnr:.2f} dB."
+        for budget, psnr, _ in mean_gains(evidence.quality)
+        if psnr < 0
+    ]
     ways = early_ends(evidence.all_rows)
     if ways and not any(way.pays for way in ways):
         most = max(ways, key=lambda way: way.saved)

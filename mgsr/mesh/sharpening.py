@@ -33,8 +33,8 @@ def sharpened(
     """Return the colours [P,3] float32 sRGB 0..1 whose renders come nearest to the views.
 
     colors [P,3]: the blended colours of surface points, one for each texel. points, normals [P,3] and the other
-    arguments: as for `blended_colors`. A pixel counts if at least `options.min_texels` texels fall into each pixel
-    around it in the mean. Textures that are coarser than the views therefore stay as they are.
+    arguments: as for `blended_colors`. A pixel counts if it and its neighbours hold at least `options.min_texels`
+    texels each, on average. Textures that are coarser than the views therefore stay as they are.
     """
     for _ in range(options.back_projections):
 

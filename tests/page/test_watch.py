@@ -46,9 +46,9 @@ def test_from_the_queue_to_the_results_without_a_reload(
         expect(page.locator("main").get_by_text("Reading the photographs")).to_be_visible()
         puppet.tell(step="start", text="", progress=0.03, step_progress=0.4, step_eta_seconds=24.0)
         expect(page.locator("main").get_by_text("Building the first surface: 40 %")).to_be_visible()
-        expect(page.locator("main").get_by_text("3 % · this step: about 30 s left")).to_be_visible()
+        expect(page.locator("main").get_by_text("3 % · for this step: about 30 s left")).to_be_visible()
         # It runs down by itself while there is no news.
-        expect(page.locator("main").get_by_text("3 % · this step: about 20 s left")).to_be_visible(timeout=15_000)
+        expect(page.locator("main").get_by_text("3 % · for this step: about 20 s left")).to_be_visible(timeout=15_000)
         puppet.tell(step_progress=None, step_eta_seconds=None)
         puppet.train(0.25, "warmup_surfels", {"render": picture("red")})
         expect(page.locator("main").get_by_text("Training: surfels, warm-up")).to_be_visible()

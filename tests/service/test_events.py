@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.page.puppet import Puppet
 from tests.service.stack import TINY_OPTIONS, Stack
 
 Event = tuple[str, str, dict[str, Any]]
@@ -27,6 +29,17 @@ def listen(stack: Stack, job: str, after: str | None = None) -> Iterator[Event]:
             elif "data" in fields:
                 yield fields.get("id", ""), fields["event"], json.loads(fields["data"])
                 fields = {}
+
+
+def test_the_first_event_is_newer_than_the_cached_state(tmp_path: Path, tiny_archive: bytes) -> None:
+    """Progress between the cached state and the begin of the watch reaches the watcher."""
+    with Stack(tmp_path, workers=0) as stack:
+        job = stack.submitted(tiny_archive, TINY_OPTIONS)
+        puppet = Puppet(stack, job)
+        assert stack.http.get(f"/jobs/{job}").json()["progress"] == 0
+        puppet.train(0.2)
+        _, kind, data = next(listen(stack, job))
+        assert (kind, data["status"], data["progress"]) == ("job", "running", 0.2)
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ SECONDS = "seconds.json"
 
 def main() -> None:
     given = arguments()
-    programs = {Program.BEFORE: given.before.split("=", 1), Program.AFTER: given.after.split("=", 1)}
+    programs = {Program.BEFORE: given.before, Program.AFTER: given.after}
     for scene in given.scenes:
         for budget in given.budgets:
             for program, (commit, command) in programs.items():
@@ -46,12 +46,23 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="+", type=Path)
     parser.add_argument("-o", dest="out", type=Path, default=RESULTS)
-    parser.add_argument("--before", required=True, metavar="COMMIT=COMMAND")
-    parser.add_argument("--after", required=True, metavar="COMMIT=COMMAND")
+    parser.add_argument("--before", type=named, required=True, metavar="COMMIT=COMMAND")
+    parser.add_argument("--after", type=named, required=True, metavar="COMMIT=COMMAND")
     parser.add_argument("--runs", type=Path, required=True)
     parser.add_argument("--budgets", nargs="+", type=float, default=[15, 30, 60, 120], help="seconds")
     parser.add_argument("--evaluate", type=Path, default=SHARED / "tools" / "evaluate.py")
     return parser.parse_args()
+
+
+def named(word: str) -> tuple[str, str]:
+    """Split COMMIT=COMMAND.
+
+    Raises ArgumentTypeError for any other form.
+    """
+    commit, equals, command = word.partition("=")
+    if not (commit and equals and command):
+        raise argparse.ArgumentTypeError(f"expected COMMIT=COMMAND, but got {word!r}")
+    return commit, command
 
 
 def run(command: str, scene: Path, budget: float, out: Path) -> None:

@@ -66,7 +66,7 @@ class EventHub:
         watched = self._join(job, queue)
         try:
             await watched.ready.wait()  # later events are in the queue, earlier ones in the stream
-            snapshot = await self._snapshots.read(job) or snapshot  # the given one may be older than the queue
+            snapshot = await self._snapshots.read(job) or snapshot  # the given one may miss earlier events
             yield b"retry: 2000\n\n" + _job_event(snapshot)
             last = (0, 0)
             for event in await self._missed(job, after):

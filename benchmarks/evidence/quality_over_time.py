@@ -89,7 +89,7 @@ def quality_section(rows: Sequence[QualityRow], plot: str) -> str:
     return "\n\n".join(
         (
             "## Quality over time",
-            "Each run has the preset `standard` and a time budget. An older program and this one "
+            "Each run has the preset `standard` and a time budget. An older program and a newer one "
             f"({_commits(rows, Program.BEFORE)} and {_commits(rows, Program.AFTER)}) ran in turns on one machine. "
             "Seconds are those of the whole command, which also starts Python and writes the report. "
             "`python -m benchmarks.quality_over_time` makes these figures.",

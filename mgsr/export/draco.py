@@ -11,11 +11,8 @@ import numpy as np
 from mgsr.errors import MgsrError
 from mgsr.geometry.mesh import Mesh
 
-POSITION_BITS, NORMAL_BITS, UV_BITS = (
-    14,
-    10,
-    14,
-)  # of quantisation; 14 bits are half a texel of a map with 8192 texels a side
+# Bits of quantisation; 14 bits are half a texel of a map with 8192 texels a side.
+POSITION_BITS, NORMAL_BITS, UV_BITS = 14, 10, 14
 LEVEL = 7  # of compression, 0..10, as in the tools of glTF
 _NAMES = {0: "POSITION", 1: "NORMAL", 3: "TEXCOORD_0"}  # Draco's attribute types
 

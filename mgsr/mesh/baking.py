@@ -13,7 +13,7 @@ from mgsr.config.expert import ColorOptions, TextureOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster, RayHits
 from mgsr.geometry.triangles import unit_vectors
-from mgsr.mesh.colors import blended_colors
+from mgsr.mesh.colors import ShownPoints, blended_colors, shown_points
 from mgsr.mesh.sharpening import sharpened
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.mesh.unwrap import UnwrappedMesh
@@ -103,7 +103,11 @@ def bake_colors(
         face, shares = full.caster.nearest(points[~seen])
         colors[~seen] = interpolated(full.colors, full.faces[face], shares)
         painted[part] = colors
-    return sharpened(painted, texels.points, texels.normals, visible, config.min_alpha, tolerance, threads, options)
+
+    def shown_by(view: SurfaceView) -> ShownPoints:
+        return shown_points(texels.points, texels.normals, view, config.min_alpha, tolerance, options.grazing)
+
+    return sharpened(painted, visible, shown_by, threads, options)
 
 
 def bake_normals(texels: Texels, unwrapped: UnwrappedMesh, min_z: float = TextureOptions().min_z) -> np.ndarray:

@@ -89,6 +89,12 @@ def shown_points(
     return ShownPoints(index[shown], pixels[shown], cosines[shown] ** 2)
 
 
+def robust_weights(weights: np.ndarray, off: np.ndarray, deviation: float) -> np.ndarray:
+    """Reduce weights [Q] by the differences `off` [Q,3] of colours; a difference of `deviation` halves a weight."""
+    reduced: np.ndarray = weights / (1 + (off * off).sum(1) / deviation**2)
+    return reduced
+
+
 @dataclass(frozen=True)
 class _ViewColors:
     """The points that one view shows: their indices [Q], colors [Q,3] sRGB 0..1, and weights [Q]."""
@@ -109,8 +115,7 @@ def _blend(
     for shown in samples:
         weights = shown.weights
         if around is not None:
-            off = shown.colors - around[shown.index]
-            weights = weights / (1 + (off * off).sum(1) / options.deviation**2)
+            weights = robust_weights(weights, shown.colors - around[shown.index], options.deviation)
         sums[shown.index] += shown.colors * weights[:, None]
         total[shown.index] += weights
     return sums / np.maximum(total, 1e-12)[:, None], total

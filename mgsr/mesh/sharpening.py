@@ -7,14 +7,14 @@ and that render to the texels. Source: Irani and Peleg 1991.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
 
 from mgsr.config.expert import ColorOptions
-from mgsr.mesh.colors import shown_points
-from mgsr.mesh.views import SurfaceView, nearest, sample
+from mgsr.mesh.colors import ShownPoints, robust_weights
+from mgsr.mesh.views import SurfaceView, bilinear_cells, nearest, sample
 from mgsr.parallel import map_ahead
 
 AROUND = (3, 3)  # pixels over which texels are counted
@@ -22,30 +22,28 @@ AROUND = (3, 3)  # pixels over which texels are counted
 
 def sharpened(
     colors: np.ndarray,
-    points: np.ndarray,
-    normals: np.ndarray,
     views: Sequence[SurfaceView],
-    min_alpha: float,
-    tolerance: float,
+    shown_by: Callable[[SurfaceView], ShownPoints],
     threads: int | None = None,
     options: ColorOptions = ColorOptions(),
 ) -> np.ndarray:
     """Return the colours [P,3] float32 sRGB 0..1 whose renders come nearest to the views.
 
-    colors [P,3]: the blended colours of surface points, one for each texel. points, normals [P,3] and the other
-    arguments: as for `blended_colors`. A pixel counts if it and its neighbours hold at least `options.min_texels`
-    texels each, on average. Textures that are coarser than the views therefore stay as they are.
+    colors [P,3]: the blended colours of surface points, one for each texel. shown_by: finds the points that a view
+    shows. It is called in each round, because keeping the points of all views would fill the memory. A pixel counts if
+    it and its neighbours hold at least `options.min_texels` texels each, on average. Textures that are coarser than the
+    views therefore stay as they are.
     """
     for _ in range(options.back_projections):
 
         def difference(view: SurfaceView, current: np.ndarray = colors) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             """Return the indices [Q] of the points that a view shows, their differences [Q,3] and weights [Q]."""
-            shown = shown_points(points, normals, view, min_alpha, tolerance, options.grazing)
+            shown = shown_by(view)
             own = current[shown.index]
             rendered, texels = _splatted(own, shown.pixels, view.depth.shape)
             known = nearest(cv2.blur(texels, AROUND), shown.pixels) >= options.min_texels
             off = sample(view.color, shown.pixels) - own
-            weights = known * shown.weights / (1 + (off * off).sum(1) / options.deviation**2)
+            weights = known * robust_weights(shown.weights, off, options.deviation)
             return shown.index, sample(np.where(texels[..., None] > 0, view.color - rendered, 0), shown.pixels), weights
 
         sums, total = np.zeros_like(colors), np.zeros(len(colors), np.float32)
@@ -63,9 +61,7 @@ def _splatted(colors: np.ndarray, pixels: np.ndarray, size: tuple[int, ...]) -> 
     point, and the sums of the shares [H,W], which are numbers of texels.
     """
     height, width = size
-    x, y = np.clip(pixels[:, 0] - 0.5, 0, width - 1), np.clip(pixels[:, 1] - 0.5, 0, height - 1)
-    left, top = np.minimum(x.astype(np.int64), width - 2), np.minimum(y.astype(np.int64), height - 2)
-    fx, fy = x - left, y - top
+    left, top, fx, fy = bilinear_cells(pixels, size)
     place = np.concatenate([(top + down) * width + left + right for down in (0, 1) for right in (0, 1)])
     share = np.concatenate([(1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx])
     total = np.bincount(place, share, height * width)

@@ -45,14 +45,24 @@ class SurfaceView:
         return usable
 
 
-def sample(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Interpolate image [H,W,...] bilinearly at pixels [P,2] (centres at +0.5), clamped at the border."""
-    height, width = image.shape[:2]
+def bilinear_cells(pixels: np.ndarray, size: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Find the four pixels of an image of a size (height, width, ...) around `pixels` [P,2] (centres at +0.5).
+
+    Returns the columns and rows [P] of the upper left ones, and the shares [P] float32, 0..1, of the right and of the
+    lower ones. Coordinates are clamped at the border.
+    """
+    height, width = size[:2]
     x = np.clip(pixels[:, 0] - 0.5, 0, width - 1)
     y = np.clip(pixels[:, 1] - 0.5, 0, height - 1)
     left, top = np.minimum(x.astype(np.int64), width - 2), np.minimum(y.astype(np.int64), height - 2)
+    return left, top, (x - left).astype(np.float32), (y - top).astype(np.float32)
+
+
+def sample(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Interpolate image [H,W,...] bilinearly at pixels [P,2] (centres at +0.5), clamped at the border."""
+    left, top, fx, fy = bilinear_cells(pixels, image.shape)
     shape = (-1,) + (1,) * (image.ndim - 2)
-    fx, fy = (x - left).astype(np.float32).reshape(shape), (y - top).astype(np.float32).reshape(shape)
+    fx, fy = fx.reshape(shape), fy.reshape(shape)
     above = image[top, left] * (1 - fx) + image[top, left + 1] * fx
     below = image[top + 1, left] * (1 - fx) + image[top + 1, left + 1] * fx
     values: np.ndarray = above * (1 - fy) + below * fy

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from pathlib import Path
 
@@ -56,6 +57,12 @@ def test_both_programs_run_in_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     ]
     kept = json.loads((tmp_path / "runs" / "apple-30-0000001" / quality_over_time.SECONDS).read_text())
     assert kept == pytest.approx(rows[2].seconds, rel=1e-4)
+
+
+@pytest.mark.parametrize("word", ["mgsr", "=mgsr", "0000001="])
+def test_a_program_without_its_commit_or_command_is_refused(word: str) -> None:
+    with pytest.raises(argparse.ArgumentTypeError, match=f"expected COMMIT=COMMAND, but got '{word}'"):
+        quality_over_time.named(word)
 
 
 def test_a_program_that_fails_ends_the_comparison(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from mgsr.config.expert import ColorOptions
 from mgsr.data.camera import Camera
 from mgsr.geometry.raycast import pixel_rays
-from mgsr.mesh.colors import blended_colors
+from mgsr.mesh.colors import ShownPoints, blended_colors, shown_points
 from mgsr.mesh.sharpening import _splatted, sharpened
 from mgsr.mesh.views import SurfaceView
 from tests.mesh.shapes import as_mesh, ball, cameras_around
@@ -54,6 +54,11 @@ def points_on_ball(count: int) -> tuple[np.ndarray, np.ndarray]:
     return RADIUS * normals, normals
 
 
+def shown_by(points: np.ndarray, normals: np.ndarray) -> Callable[[SurfaceView], ShownPoints]:
+    """Return the function that finds which of the points a view shows."""
+    return lambda view: shown_points(points, normals, view, 0.5, TOLERANCE, ColorOptions().grazing)
+
+
 def colors_of(
     count: int, color: Callable[[np.ndarray], np.ndarray], options: ColorOptions = ColorOptions()
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -62,7 +67,7 @@ def colors_of(
     views = photographed(cameras_around(24, side=SIDE), color)
     blended, seen = blended_colors(points, normals, views, 0.5, TOLERANCE)
     assert seen.all()
-    return points, blended, sharpened(blended, points, normals, views, 0.5, TOLERANCE, options=options)
+    return points, blended, sharpened(blended, views, shown_by(points, normals), options=options)
 
 
 def test_stripes_regain_their_contrast() -> None:
@@ -95,7 +100,7 @@ def test_few_views_sharpen_less() -> None:
         points, normals = points_on_ball(8000)
         seen_by = photographed(cameras_around(24, side=SIDE)[12 : 12 + views], stripes)
         blended, seen = blended_colors(points, normals, seen_by, 0.5, TOLERANCE)
-        sharp = sharpened(blended, points, normals, seen_by, 0.5, TOLERANCE)
+        sharp = sharpened(blended, seen_by, shown_by(points, normals))
         np.testing.assert_array_equal(sharp[~seen], blended[~seen])
         return float(np.abs(sharp - blended)[seen].mean())
 

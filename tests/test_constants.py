@@ -337,7 +337,6 @@ REMAINING = {
     "shading/details.GREY": MATHEMATICS,
     "shading/environment_fit.MOST_STEPS": SOLVER,
     "shading/environment_fit.TOLERANCE": SOLVER,
-    "shading/environment_normals.CHUNK": BATCH,
     "shading/flash.CHUNK": BATCH,
     "shading/flash._PAIRS": MATHEMATICS,
     "shading/flash._PLACES": MATHEMATICS,

@@ -5,9 +5,29 @@ from __future__ import annotations
 from types import ModuleType
 
 from mgsr.errors import ConfigError
-from mgsr.native import _adam, _environment_map, _fusion, _gaussians, _harmonics, _image, _stereo, _surfels
+from mgsr.native import (
+    _adam,
+    _environment_map,
+    _fusion,
+    _gaussians,
+    _harmonics,
+    _image,
+    _mirrored,
+    _stereo,
+    _surfels,
+)
 
-FAMILIES: tuple[ModuleType, ...] = (_gaussians, _surfels, _image, _harmonics, _adam, _environment_map, _stereo, _fusion)
+FAMILIES: tuple[ModuleType, ...] = (
+    _gaussians,
+    _surfels,
+    _image,
+    _harmonics,
+    _adam,
+    _environment_map,
+    _stereo,
+    _fusion,
+    _mirrored,
+)
 
 
 def set_threads(n: int) -> None:

@@ -343,3 +343,15 @@ class VotingMaps(NamedTuple):
     cameras: np.ndarray
     depths: Sequence[np.ndarray]
     weights: Sequence[np.ndarray]
+
+
+class MirroredObservations(NamedTuple):
+    """P points' observations in K views, all float32.
+
+    view_directions [P,K,3]: unit, from the point to the camera. brightness [P,K]: linear light. weights [P,K]: 0 where
+    a point is not visible.
+    """
+
+    view_directions: np.ndarray
+    brightness: np.ndarray
+    weights: np.ndarray

@@ -36,31 +36,21 @@ class FittedEnvironmentMap:
     ratio: float
 
     def table(self, cells: int) -> np.ndarray:
-        """Return a table [cells^3] float32 of the light in the directions of the cells of the cube [-1,1]^3.
+        """Return the light in the directions of the cells of the cube [-1,1]^3, [cells,cells,cells] float32.
 
-        `look_up` reads it without computing angles.
+        The table is read without computing angles. Its axes are x, y and z.
         """
         middles = (np.arange(cells, dtype=np.float32) + 0.5) * (2 / cells) - 1
         places = np.stack(np.meshgrid(middles, middles, middles, indexing="ij"), axis=-1)
         rows, columns = _places(places / np.linalg.norm(places, axis=-1, keepdims=True), len(self.light))
         wide = np.concatenate([self.light[:, -1:], self.light, self.light[:, :1]], axis=1)
-        values: np.ndarray = map_coordinates(wide, [rows, columns + 1], order=1, mode="nearest").ravel()
+        values: np.ndarray = map_coordinates(wide, [rows, columns + 1], order=1, mode="nearest")
         return values
 
     def mirrored(self, normals: np.ndarray, view_directions: np.ndarray) -> np.ndarray:
         """Return the light [P] that points with unit normals [P,3] mirror to unit directions view_directions [P,3]."""
         directions = reflect(view_directions, normals)
         return np.asarray(sample_map(directions, len(self.light)) @ self.light.ravel())
-
-
-def look_up(table: np.ndarray, cells: int, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Return the light [...] in unit directions with components x, y and z [...].
-
-    table [cells^3]: from `FittedEnvironmentMap.table`.
-    """
-    x, y, z = (((axis + 1) * np.float32(cells * 0.49999)).astype(np.int32) for axis in (x, y, z))
-    values: np.ndarray = table[(x * cells + y) * cells + z]
-    return values
 
 
 def fit_environment_map(

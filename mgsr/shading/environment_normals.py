@@ -16,12 +16,11 @@ from scipy import sparse
 from mgsr.config.expert import EnvironmentNormalOptions, EnvironmentOptions
 from mgsr.geometry.displace import diffuse, mean_normals
 from mgsr.geometry.triangles import tangents
-from mgsr.parallel import map_ahead
-from mgsr.shading.environment_fit import FittedEnvironmentMap, fit_environment_map, look_up
+from mgsr.native import _mirrored
+from mgsr.native.structs import MirroredObservations
+from mgsr.shading.environment_fit import FittedEnvironmentMap, fit_environment_map
 from mgsr.shading.observations import Observations
 from mgsr.shading.target_normals import TargetNormals
-
-CHUNK = 1000  # points at a time, so that their observations stay in the cache
 
 
 def normals_from_environment(
@@ -30,7 +29,6 @@ def normals_from_environment(
     laplacian: sparse.csr_matrix,
     reach: float,
     still: np.ndarray,
-    threads: int | None,
     options: EnvironmentOptions = EnvironmentOptions(),
 ) -> TargetNormals:
     """Estimate the normals of a mesh's P vertices from one environment map that they all mirror.
@@ -46,7 +44,7 @@ def normals_from_environment(
         tilts = np.tan(np.radians(np.arange(-max_tilt, max_tilt + step / 2, step)))
         first, second = tangents(around)
         frames = np.stack([first, second, around], axis=1)
-        costs = diffuse(_costs(observations, environment, frames, tilts, threads, search), laplacian, reach)
+        costs = diffuse(_costs(observations, environment, frames, tilts, search), laplacian, reach)
         mean_cost = float(costs.mean()) if mean_cost is None else mean_cost
         costs += search.tilt_cost * mean_cost * _squared_tilts(frames, tilts, own) / np.tan(np.radians(10)) ** 2
         across, along, cost, bends = _lowest(costs.reshape(-1, len(tilts), len(tilts)), tilts)
@@ -94,44 +92,23 @@ def _costs(
     environment: FittedEnvironmentMap,
     frames: np.ndarray,
     tilts: np.ndarray,
-    threads: int | None,
     options: EnvironmentNormalOptions,
 ) -> np.ndarray:
     """Return the robust cost [P,T*T] of the residual for each tilt of the normals.
 
     frames [P,3,3]: rows of two tangents and the normal, unit. tilts [T]: tangents of the angles along each tangent.
     """
-    table, outlier = environment.table(options.cells), options.outlier * environment.deviation + 1e-9
-    parts = np.array_split(np.arange(len(frames)), -(-len(frames) // CHUNK))
-
-    def cost(part: np.ndarray) -> np.ndarray:
-        return _part(observations.at(part), table, options.cells, frames[part], tilts, outlier)
-
-    return np.concatenate(list(map_ahead(cost, parts, threads)))
-
-
-def _part(
-    observations: Observations, table: np.ndarray, cells: int, frames: np.ndarray, tilts: np.ndarray, outlier: float
-) -> np.ndarray:
-    """Return the costs [C,T*T] of a chunk of C points (`_costs`).
-
-    table [cells^3]: the environment map's lookup table. frames [C,3,3], tilts [T]: as for `_costs`. outlier: the
-    residual at which an observation's cost is half its limit, in linear light.
-    """
-    along = np.einsum("pai,pki->apk", frames, observations.view_directions).astype(np.float32)
-    eye = [observations.view_directions[..., axis] for axis in range(3)]
-    total = np.maximum(observations.weights.sum(axis=1), 1e-9)[:, None]
-    costs = np.empty((len(frames), len(tilts) ** 2), np.float32)
-    for column, (first, second) in enumerate((first, second) for first in tilts for second in tilts):
-        tilted = (first * frames[:, 0] + second * frames[:, 1] + frames[:, 2]).astype(np.float32)
-        length = 1 + first**2 + second**2
-        twice = np.float32(2 / length) * (np.float32(first) * along[0] + np.float32(second) * along[1] + along[2])
-        shown = look_up(table, cells, *(twice * tilted[:, axis, None] - eye[axis] for axis in range(3)))
-        residual = observations.brightness - shown
-        residual -= (observations.weights * residual).sum(axis=1, keepdims=True) / total
-        squares = (residual / outlier) ** 2
-        costs[:, column] = (observations.weights * squares / (1 + squares)).sum(axis=1)
-    return costs
+    read = MirroredObservations(
+        view_directions=np.ascontiguousarray(observations.view_directions, np.float32),
+        brightness=np.ascontiguousarray(observations.brightness, np.float32),
+        weights=np.ascontiguousarray(observations.weights, np.float32),
+    )
+    outlier = options.outlier * environment.deviation + 1e-9
+    costs = np.empty((len(frames), len(tilts), len(tilts)), np.float32)
+    _mirrored.tilt_costs(
+        read, environment.table(options.cells), frames.astype(np.float32), tilts.astype(np.float32), outlier, costs
+    )
+    return costs.reshape(len(frames), -1)
 
 
 def _lowest(costs: np.ndarray, tilts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

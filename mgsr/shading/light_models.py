@@ -134,13 +134,11 @@ class EnvironmentLight:
         self._observer, self._options, self._known = observer, options, known
 
     def explain(self, mesh: Mesh) -> TargetNormals:
-        options, pixel, threads = self._options, self._observer.pixel, self._observer.photos.threads
+        options, pixel = self._options, self._observer.pixel
         observations = self._observer.observe(mesh).frontal(options.min_cosine)
         reach = options.normals.pooled * pixel / mesh.edge_length
         still = _near_sharp_edges(mesh, pixel, reach, options.normals.convex)
-        return normals_from_environment(
-            observations, mesh.double_normals, mesh.laplacian, reach, still, threads, options
-        )
+        return normals_from_environment(observations, mesh.double_normals, mesh.laplacian, reach, still, options)
 
     def lighting(self, mesh: Mesh) -> None:
         return None

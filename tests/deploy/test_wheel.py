@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-FAMILIES = ("adam", "fusion", "harmonics", "image", "environment_map", "stereo", "surfels", "gaussians")
+FAMILIES = ("adam", "environment_map", "fusion", "gaussians", "harmonics", "image", "mirrored", "stereo", "surfels")
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,18 @@ import pytest
 import torch
 
 from mgsr.config.expert import MatchSettings
-from mgsr.native import _adam, _environment_map, _fusion, _gaussians, _harmonics, _image, _stereo, _surfels, structs
+from mgsr.native import (
+    _adam,
+    _environment_map,
+    _fusion,
+    _gaussians,
+    _harmonics,
+    _image,
+    _mirrored,
+    _stereo,
+    _surfels,
+    structs,
+)
 from mgsr.native.runtime import FAMILIES
 from mgsr.stereo.patch_match import stereo_settings
 from tests.ops.splat_scenes import camera
@@ -172,11 +183,20 @@ def surfaces() -> list[Call]:
     solid = {"solid_weight": 0.2, "solid_depth": 4.0}
     vote = {"points": np.zeros((4, 3)), "maps": maps, "reach": 0.1, **solid, "votes": histograms}
     fused = {"votes": histograms, "voxels": np.arange(4), "most": grid + 1, "strength": 0.4, "rounds": 1, "field": grid}
+    read = structs.MirroredObservations(
+        view_directions=np.ones((4, 2, 3), np.float32),
+        brightness=np.ones((4, 2), np.float32),
+        weights=np.ones((4, 2), np.float32),
+    )
+    light, tilts = np.ones((2, 2, 2), np.float32), np.zeros(3, np.float32)
+    axes, costs = np.ones((4, 3, 3), np.float32), np.zeros((4, 3, 3), np.float32)
+    tilt = {"observations": read, "table": light, "frames": axes, "tilts": tilts, "outlier": 0.1, "costs": costs}
     return [
         Call(_stereo.search, search, ("found.depth", "found.normal", "score")),
         Call(_stereo.judge, judge, ("score",)),
         Call(_fusion.vote, vote, ("votes",)),
         Call(_fusion.regularise, fused, ("field",)),
+        Call(_mirrored.tilt_costs, tilt, ("costs",)),
     ]
 
 

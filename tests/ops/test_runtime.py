@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from mgsr.errors import ConfigError
-from mgsr.native import _adam, _environment_map, _fusion, _harmonics, _image, _stereo, runtime
+from mgsr.native import _adam, _environment_map, _fusion, _harmonics, _image, _mirrored, _stereo, runtime
 
-FAMILIES = (_image, _harmonics, _adam, _environment_map, _stereo, _fusion)
+FAMILIES = (_image, _harmonics, _adam, _environment_map, _stereo, _fusion, _mirrored)
 pytestmark = pytest.mark.usefixtures("kernel_settings_come_back")
 
 

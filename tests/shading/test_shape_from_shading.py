@@ -14,7 +14,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.scene import View
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import pixel_rays
-from mgsr.shading.environment_fit import fit_environment_map, look_up
+from mgsr.shading.environment_fit import fit_environment_map
 from mgsr.shading.environment_normals import normals_from_environment
 from mgsr.shading.light_estimate import LightEstimate, LightKind, estimate_light
 from mgsr.shading.light_models import EnvironmentLight
@@ -208,7 +208,8 @@ def test_the_map_is_the_environment_up_to_a_constant() -> None:
     found = fit_environment_map(observations, normals)
     directions = np.random.default_rng(0).normal(size=(2000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    difference = look_up(found.table(64), 64, *directions.T.astype(np.float32)) - lamps(directions)
+    x, y, z = ((directions.T + 1) * 32).astype(int)
+    difference = found.table(64)[x, y, z] - lamps(directions)
     assert np.std(difference) < 0.15 * np.std(lamps(directions))
     assert found.ratio < 0.5
 
@@ -222,10 +223,10 @@ def test_tilted_normals_are_turned_back() -> None:
     tilted = true + 0.15 * wave[:, None] * [1.0, 0.0, 0.0]
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
     still, laplacian = np.zeros(len(true)), as_mesh(mesh).laplacian
-    explained = normals_from_environment(observations, tilted, laplacian, reach=2.0, still=still, threads=1)
+    explained = normals_from_environment(observations, tilted, laplacian, reach=2.0, still=still)
     errors = [np.degrees(np.arccos(np.clip((n * true).sum(1), -1, 1))) for n in (tilted, explained.normals)]
     assert errors[1].mean() < 0.6 * errors[0].mean()
-    kept = normals_from_environment(observations, tilted, laplacian, reach=2.0, still=1 - still, threads=1)
+    kept = normals_from_environment(observations, tilted, laplacian, reach=2.0, still=1 - still)
     np.testing.assert_allclose(kept.normals, tilted, atol=1e-6)
 
 
@@ -236,7 +237,7 @@ def test_true_normals_stay_within_a_fraction_of_the_fine_grid() -> None:
     seen = PhotoSet(photographs(ball(RADIUS), glossy)).photographs
     observations = observe_photographs(mesh, seen, gap=0.01)
     still = np.zeros(len(true))
-    found = normals_from_environment(observations, true, mesh.laplacian, reach=2.0, still=still, threads=1)
+    found = normals_from_environment(observations, true, mesh.laplacian, reach=2.0, still=still)
     errors = np.degrees(np.arccos(np.clip((found.normals * true).sum(1), -1, 1)))
     assert np.average(errors, weights=found.confidence) < 0.075
 
@@ -249,5 +250,5 @@ def test_what_no_tilt_explains_is_not_trusted() -> None:
     noise = np.random.default_rng(0).normal(scale=0.2, size=observations.brightness.shape)
     spoilt = replace(observations, brightness=observations.brightness + odd[:, None] * noise.astype(np.float32))
     laplacian, still = as_mesh(mesh).laplacian, np.zeros(len(true))
-    confidence = normals_from_environment(spoilt, true, laplacian, reach=2.0, still=still, threads=1).confidence
+    confidence = normals_from_environment(spoilt, true, laplacian, reach=2.0, still=still).confidence
     assert confidence[~odd].mean() > 2 * confidence[odd].mean() > 0

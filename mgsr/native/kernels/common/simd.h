@@ -35,6 +35,19 @@ inline vfloat load(const float* p) {
 
 inline void store(float* p, vfloat v) { std::memcpy(p, &v, sizeof(v)); }
 
+// Returns the values at `places` of an array.
+inline vfloat load_at(const float* values, vint places) {
+#if defined(MGSR_ISA_avx512)
+  return (vfloat)_mm512_i32gather_ps((__m512i)places, values, sizeof(float));
+#elif defined(MGSR_ISA_avx2)
+  return (vfloat)_mm256_i32gather_ps(values, (__m256i)places, sizeof(float));
+#else
+  vfloat v;
+  for (int lane = 0; lane < kWidth; ++lane) v[lane] = values[places[lane]];
+  return v;
+#endif
+}
+
 inline vfloat select(vint mask, vfloat a, vfloat b) { return mask ? a : b; }
 // The processor's minimum and maximum instructions, since compilers don't recognise them in a < b ? a : b. A NaN in a
 // gives b.

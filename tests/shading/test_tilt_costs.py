@@ -51,8 +51,8 @@ def test_costs_are_those_of_single_tilts() -> None:
             for j, along in enumerate(TILTS):
                 tilted = normal + across * first + along * second
                 tilted /= np.linalg.norm(tilted)
-                seen = (values[point].astype(float) for values in observations)
-                expected[point, i, j] = tilt_cost(*seen, tilted, table, OUTLIER)
+                directions, brightness, weights = (values[point].astype(float) for values in observations)
+                expected[point, i, j] = tilt_cost(directions, brightness, weights, tilted, table, OUTLIER)
     for isa in runtime.isas():
         runtime.set_isa(isa)
         costs = costs_of(observations, frames, table)

@@ -334,6 +334,7 @@ REMAINING = {
     "segmentation/random_walker.STEPS": MATHEMATICS,
     "shading/ambient_occlusion.TURN": MATHEMATICS,
     "shading/details.DIFFERENCE": SOLVER,
+    "shading/details.TOGETHER": BATCH,
     "shading/details.GREY": MATHEMATICS,
     "shading/environment_fit.MOST_STEPS": SOLVER,
     "shading/environment_fit.TOLERANCE": SOLVER,

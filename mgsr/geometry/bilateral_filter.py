@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import sparse
 
 from mgsr.config.expert import BilateralOptions
 from mgsr.geometry.mesh import Mesh
+from mgsr.parallel import map_ahead
 
-CHUNK = 65_536  # faces whose neighbourhoods are held in memory at a time
+CHUNK = 16_384  # faces at a time, so that the values of their neighbourhoods stay in the cache
 
 
 def bilateral_normal_filter(mesh: Mesh, angle: float, options: BilateralOptions = BilateralOptions()) -> Mesh:
@@ -33,13 +36,7 @@ def bilateral_normal_filter(mesh: Mesh, angle: float, options: BilateralOptions 
     neighbourhoods = _neighbourhoods(touches, mesh.vertices[faces].mean(axis=1), areas, mesh.edge_length)
     normals = given.astype(np.float32)
     for _ in range(options.rounds):
-        own = np.array_split(normals, range(CHUNK, len(faces), CHUNK))
-        normals = np.concatenate(
-            [
-                _mean_normals(around, part, normals, np.deg2rad(angle))
-                for around, part in zip(neighbourhoods, own, strict=True)
-            ]
-        )
+        normals = _mean_normals(neighbourhoods, normals, np.deg2rad(angle))
     moved = _follow(mesh.vertices, touches, normals.astype(np.float64), options.steps)
     return mesh.moved(_unfold(moved, mesh, normals, (given * normals).sum(1), options.folded))
 
@@ -58,29 +55,32 @@ def _neighbourhoods(
     touches [F,V]: 1 where a face has a vertex. middles [F,3]: the faces' centroids. areas [F]. reach: the Gaussian's
     standard deviation, in the vertices' unit. Returns sparse matrices of CHUNK rows (the last has fewer) and F columns.
     """
-    parts = []
-    for start in range(0, len(middles), CHUNK):
+
+    def weighed(start: int) -> sparse.csr_matrix:
         around = touches[start : start + CHUNK] @ touches.T
         here = start + np.repeat(np.arange(around.shape[0]), np.diff(around.indptr))
         ways = middles[around.indices] - middles[here]
         nearness = np.exp(-np.einsum("ij,ij->i", ways, ways) / (2 * reach**2))
         around.data = (areas[around.indices] * nearness).astype(np.float32)
-        parts.append(around)
-    return parts
+        return around
+
+    return list(map_ahead(weighed, range(0, len(middles), CHUNK), None))
 
 
-def _mean_normals(around: sparse.csr_matrix, own: np.ndarray, normals: np.ndarray, angle: float) -> np.ndarray:
-    """Return the bilateral mean normals [C,3], unit, of one chunk of C faces.
+def _mean_normals(neighbourhoods: Sequence[sparse.csr_matrix], normals: np.ndarray, angle: float) -> np.ndarray:
+    """Return the bilateral mean normals [F,3], unit, of F faces.
 
-    around [C,F]: weights by area and distance. own [C,3]: the chunk's unit normals. normals [F,3]: those of all faces.
-    angle: radians.
+    neighbourhoods: from `_neighbourhoods`. normals [F,3]: unit. angle: radians.
     """
-    sizes = np.diff(around.indptr)
-    unlike = 1 - np.einsum("ij,ij->i", np.repeat(own, sizes, axis=0), normals[around.indices])
-    weights = around.data * np.exp(-unlike / angle**2)
-    sums = sparse.csr_matrix((weights, around.indices, around.indptr), around.shape) @ normals
-    means: np.ndarray = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)
-    return means
+
+    def mean(chunk: int) -> np.ndarray:
+        around = neighbourhoods[chunk]
+        own = np.repeat(normals[chunk * CHUNK : (chunk + 1) * CHUNK], np.diff(around.indptr), axis=0)
+        weights = around.data * np.exp((np.einsum("ij,ij->i", own, normals[around.indices]) - 1) / angle**2)
+        sums = sparse.csr_matrix((weights, around.indices, around.indptr), around.shape) @ normals
+        return np.asarray(sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20))
+
+    return np.concatenate(list(map_ahead(mean, range(len(neighbourhoods)), None)))
 
 
 def _follow(vertices: np.ndarray, touches: sparse.csr_matrix, normals: np.ndarray, steps: int) -> np.ndarray:

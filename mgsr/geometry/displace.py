@@ -24,9 +24,10 @@ def diffuse(values: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> n
 
     The result is about that of a Gaussian with a standard deviation of `reach` edges.
     """
+    smoothed, halved = values.reshape(len(values), -1), (0.5 * laplacian).astype(np.result_type(values, np.float32))
     for _ in range(round(4 * reach**2)):  # a step adds a deviation of half an edge along each of the two axes
-        values = values + 0.5 * (laplacian @ values)
-    return values
+        smoothed = smoothed + halved @ smoothed
+    return smoothed.reshape(values.shape)
 
 
 def smooth_displacements(

@@ -28,6 +28,7 @@ from mgsr.shading.lighting import GAMMA, Lighting
 from mgsr.shading.observations import lie_within, sample_image, seen_frontal
 
 GREY = np.full(3, 1 / 3)  # the mean of the channels
+TOGETHER = 8  # photographs whose detail is smoothed together
 DIFFERENCE = 0.1  # pixels; the displacement for derivatives by finite differences
 
 
@@ -63,13 +64,13 @@ class ObservedMesh:
         return diffuse(values, self.mesh.laplacian, reach * self.pixel / self.mesh.edge_length)
 
     def detail(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """Return values [N,V] minus their mean over some pixels around, and 0 at unknown vertices.
+        """Return values [N,V,G] of G photographs minus their mean over some pixels around, and 0 at unknown vertices.
 
-        known [V] bool: the vertices that count, all with the same weight, so that photographs of the same vertices
+        known [V,G] bool: the vertices that count, all with the same weight, so that photographs of the same vertices
         subtract the same means.
         """
-        around = self.around(np.stack([*(values * known), known], axis=1), self.options.coarse)
-        return np.asarray(known * (values - around[:, :-1].T / np.maximum(around[:, -1], 1e-6)))
+        around = self.around(np.stack([*(values * known), known.astype(np.float32)], axis=1), self.options.coarse)
+        return np.asarray(known * (values - around[:, :-1].swapaxes(0, 1) / np.maximum(around[:, -1], 1e-6)))
 
 
 @dataclass(frozen=True)
@@ -159,29 +160,33 @@ class Details:
 
 def read_details(surface: ObservedMesh, mixes: Sequence[ChannelMix], light: KnownLight, threads: int | None) -> Details:
     """Sample the detail of the surface's vertices in all photographs."""
-    rows = map_ahead(lambda each: _read_one(surface, each, light), mixes, threads)
-    details = Details(*(np.stack(columns, axis=1) for columns in zip(*rows, strict=True)))
+    groups = [mixes[start : start + TOGETHER] for start in range(0, len(mixes), TOGETHER)]
+    parts = map_ahead(lambda group: _read_some(surface, group, light), groups, threads)
+    details = Details(*np.concatenate(list(parts), axis=2))
     details.weights[(details.weights > 0).sum(axis=1) < surface.options.min_observations] = 0
     return details
 
 
-def _read_one(surface: ObservedMesh, mix: ChannelMix, light: KnownLight) -> np.ndarray:
-    """Sample one photograph: return its column [4,V] of `Details`, in the order of the fields."""
-    camera, places, normals = mix.photograph.camera, surface.mesh.vertices, surface.mesh.double_normals
-    samples = sample_view(surface, mix, light)
-    step = DIFFERENCE * surface.pixel * normals[samples.seen]
-    moved = 1 / DIFFERENCE * (camera.project(places[samples.seen] + step)[0] - samples.pixels)
-    column = np.zeros((4, len(places)), np.float32)
-    column[0, samples.seen] = sample_image(mix.mixed, samples.pixels) / samples.irradiance_factor
-    column[1, samples.seen] = (mix.slopes(samples.pixels) * moved).sum(axis=1) / samples.irradiance_factor
-    column[3, samples.seen] = samples.weights
-    column[:2] = surface.detail(column[:2], column[3] > 0)
+def _read_some(surface: ObservedMesh, mixes: Sequence[ChannelMix], light: KnownLight) -> np.ndarray:
+    """Sample G photographs: return their columns [4,V,G] of `Details`, in the order of the fields."""
+    places, normals = surface.mesh.vertices, surface.mesh.double_normals
+    columns, shine = np.zeros((4, len(places), len(mixes)), np.float32), np.zeros((len(places), len(mixes)), np.float32)
+    rates = np.zeros_like(shine)
+    for number, mix in enumerate(mixes):
+        samples = sample_view(surface, mix, light)
+        seen, step = samples.seen, DIFFERENCE * surface.pixel * normals[samples.seen]
+        moved = 1 / DIFFERENCE * (mix.photograph.camera.project(places[seen] + step)[0] - samples.pixels)
+        columns[0, seen, number] = sample_image(mix.mixed, samples.pixels) / samples.irradiance_factor
+        columns[1, seen, number] = (mix.slopes(samples.pixels) * moved).sum(axis=1) / samples.irradiance_factor
+        columns[3, seen, number] = samples.weights
+        if light.mirrors is not None:
+            shine[:, number] = light.mirrors.mirrored(normals, samples.view_directions)
+            rates[seen, number] = mix.rates(samples.pixels)
+    columns[:2] = surface.detail(columns[:2], columns[3] > 0)
     if light.mirrors is not None:
-        shine = light.mirrors.mirrored(normals, samples.view_directions)
         fine = shine - surface.around(shine, surface.options.coarse)
-        fine = np.sqrt(fine**2 + surface.around(fine**2, surface.options.coarse))
-        column[2, samples.seen] = fine[samples.seen] * mix.rates(samples.pixels)
-    return column
+        columns[2] = rates * np.sqrt(fine**2 + surface.around(fine**2, surface.options.coarse))
+    return columns
 
 
 @dataclass(frozen=True)

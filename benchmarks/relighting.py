@@ -43,7 +43,7 @@ from mgsr.pipeline.result_files import read_mesh
 from mgsr.pipeline.result_paths import ENVIRONMENT, MODEL_GLB, RENDERS, REPORT
 
 VIEWS = 3
-OWN_LIGHT_SAMPLES = 8  # times those in new light: the noise of few is as large as the model's error
+OWN_LIGHT_SAMPLES = 64  # times those in new light: the noise of few is as large as the model's error
 UPRIGHT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # from model.glb's axes, y up, to the scenes', z up
 ALBEDO = {"type": "aov", "aovs": "albedo:albedo", "image": {"type": "path", "max_depth": 2, "hide_emitters": True}}
 SHADED = {"type": "path", "max_depth": 5, "hide_emitters": True}

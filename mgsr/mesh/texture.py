@@ -80,7 +80,7 @@ def _lit_surface(
     """Separate the colours of a surface from their shading; the arguments are those of `texture_levels`."""
     static = options.static_light
     coarse = coarser(Mesh(full.vertices, full.faces), options.edge * pixel, options.max_faces)
-    seen = trace_hemispheres(coarse, pixel)
+    seen = trace_hemispheres(coarse, pixel, static.rays)
     scale, irradiance = np.ones(3), None
     if material.tint is None and shaded:
         scale = _albedo_scale(srgb_to_linear(full.colors), material, options)

@@ -234,7 +234,8 @@ class GlossOptions(Options):
 class StaticLightOptions(Options):
     """The separation of static light from a surface's colours. Source: Retinex, Land and McCann 1971."""
 
-    reach: NotNegative = 2.0  # edges over which the rays of neighbours are averaged
+    rays: Count = 256  # rays of each vertex
+    reach: NotNegative = 0.5  # edges over which the rays of neighbours are averaged
     places: Annotated[int, Range(2)] = 3000  # number of random vertices between which brightness is compared
     neighbours: Count = 8  # number of neighbours that each of these vertices is compared with
     step: Positive = 0.05  # change of the log albedo above which it counts as a step

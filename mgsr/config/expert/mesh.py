@@ -18,10 +18,8 @@ from mgsr.config.options import Count, NotNegative, Options, Positive, Range, Sh
 class SurfaceChoiceOptions(Options):
     """The choice between the trained surface and the first one."""
 
-    max_start_residual: NotNegative = (
-        0.95  # the first surface is better if its environment residual is at most this share of
-    )
-    # the trained one's
+    max_start_residual: NotNegative = 0.98  # environment residual of the first surface, over the trained one's, up to
+    # which the first surface is better
     tears: WholeNumber = 40  # boundary loops plus twice the handles, in excess of the first surface's, above which the
     # trained surface counts as torn; torn ones have hundreds
     min_gain: NotNegative = 0.02  # photo-consistency by which the first surface must exceed the trained one

@@ -61,10 +61,24 @@ def relighting_section(rows: Sequence[RelightingRow]) -> str:
             f"The program is that of {commits}.",
             markdown(head, cells),
             f"On average, the model is {gain:.1f} dB closer to the truth than photograph colours are; it is behind on "
-            f"{behind}.\n\nOn matte scenes, the model in its own light is as bright as the photographs, within 2%. It "
-            "is less sharp than the splats. On spot_soft, in pictures of 128 x 128 pixels, it has 34.6 dB. With "
-            "texels of less than half the size (`--texture 800`), it has 36.9 dB.",
+            f"{behind}.{_matte_in_own_light(rows)}",
         )
+    )
+
+
+def _matte_in_own_light(rows: Sequence[RelightingRow]) -> str:
+    """Return the sentence about matte scenes in their own light; empty without such scenes."""
+    pairs = [
+        (row.own_light, row.splats)
+        for row in rows
+        if row.true_roughness is None and row.own_light is not None and row.splats is not None
+    ]
+    if not pairs:
+        return ""
+    ours, splats = (sum(each) / len(pairs) for each in zip(*pairs, strict=True))
+    return (
+        f"\n\nOn matte scenes, the model in its own light has {ours:.1f} dB, and the splats have {splats:.1f} dB. Its "
+        "texture is less sharp."
     )
 
 

@@ -22,7 +22,7 @@ def mean_normals(normals: np.ndarray, laplacian: sparse.csr_matrix, rounds: int)
 def diffuse(values: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:
     """Smooth values [V,...] over the surface by diffusion.
 
-    The result is about that of a Gaussian with a standard deviation of `reach` edges.
+    The result is about that of a Gaussian with a standard deviation of `reach` edges. It has the values' precision.
     """
     smoothed, halved = values.reshape(len(values), -1), (0.5 * laplacian).astype(np.result_type(values, np.float32))
     for _ in range(round(4 * reach**2)):  # a step adds a deviation of half an edge along each of the two axes

@@ -13,7 +13,7 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.colors import vertex_colors
 from mgsr.mesh.consistency import SilhouetteHull, compare_views
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
-from mgsr.mesh.points import gather_points
+from mgsr.mesh.points import complete_points, gather_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
 from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepReport, TimeLeft, cure
@@ -42,8 +42,9 @@ def extract_mesh(
     contours coincide with theirs.
     go_on: returns whether there is time for another round of refinement.
 
-    start: the surface on which training began. It replaces the trained surface if the photographs clearly prefer it.
-    If the trained surface is torn, `start` fitted to the views replaces it.
+    start: the surface on which training began. Poisson reconstruction takes its points where the views have no reliable
+    ones, such as on flanks that every view sees at a grazing angle. It replaces the trained surface if the photographs
+    clearly prefer it. If the trained surface is torn, `start` fitted to the views replaces it.
     steps: the steps that finish the mesh; None: all.
     ground [4]: the plane on which the object stands, in the views' frame, where the mesh ends; None if it is unknown.
     expert: the options of all algorithms.
@@ -56,8 +57,7 @@ def extract_mesh(
     bounded = bool(photos.silhouettes) and config.hull_margin is not None
     hull = SilhouetteHull(photos.silhouettes, photos.dissent) if bounded else None
     context = StepContext(views, photos, config, footprint, hull, TimeLeft(go_on), ground, expert.mesh)
-    extract = {Extractor.POISSON: _by_poisson, Extractor.TSDF: _by_tsdf}[config.extractor]
-    trained = extract(context)
+    trained = _by_poisson(context, start) if config.extractor is Extractor.POISSON else _by_tsdf(context)
     chosen = None if start is None else _better_start(start, trained, context, expert)
     mesh, light, reports = take_steps(
         trained if chosen is None else chosen, context, mesh_steps(expert) if steps is None else steps
@@ -104,11 +104,14 @@ def _rules(config: MeshConfig) -> PixelRules:
     return PixelRules(config.min_alpha, config.min_cos, config.max_jump, config.radius)
 
 
-def _by_poisson(context: StepContext) -> Mesh:
+def _by_poisson(context: StepContext, start: Mesh | None) -> Mesh:
     views, config, hull, threads = context.views, context.config, context.hull, context.photos.threads
     options = context.options
     cell = cell_size(_extent(views, config, options.outliers), config.poisson_depth, options.poisson_margin)
-    points = gather_points(views, max(config.cell * cell, context.footprint), _rules(config), threads)
+    spacing = max(config.cell * cell, context.footprint)
+    points = gather_points(views, spacing, _rules(config), threads)
+    if start is not None:
+        points = complete_points(points, start, spacing, config.trim * cell)
     if config.consistency is not None:
         reach = options.confirm_reach
         agreement = compare_views(points, views, _rules(config), config.consistency, threads, reach)

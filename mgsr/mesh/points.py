@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.pixels import PixelRules, surface_pixels
 from mgsr.mesh.views import SurfaceView
 from mgsr.parallel import map_ahead
@@ -102,3 +104,19 @@ def gather_points(
         return CellSums.of(OrientedPoints(pixels.positions[keep], pixels.normals[keep]), pixels.cosines[keep], cell)
 
     return CellSums.merged(list(map_ahead(sums_of, views, threads))).mean()
+
+
+def complete_points(points: OrientedPoints, surface: Mesh, cell: float, reach: float) -> OrientedPoints:
+    """Add points of a surface wherever no point lies within `reach`.
+
+    cell: the side of the cubic cells in which the surface's vertices are averaged. Both lengths are in the scene's
+    unit.
+    """
+    vertices = OrientedPoints(surface.vertices.astype(np.float32), surface.normals.astype(np.float32))
+    added = CellSums.of(vertices, np.ones(len(vertices), np.float32), cell).mean()
+    if len(points):
+        near = cKDTree(points.positions).query(added.positions, distance_upper_bound=reach, workers=-1)[0] <= reach
+        added = added.where(~near)
+    return OrientedPoints(
+        np.concatenate([points.positions, added.positions]), np.concatenate([points.normals, added.normals])
+    )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 
 from mgsr.config import Extractor, MeshConfig
 from mgsr.errors import MeshError
@@ -18,7 +19,7 @@ from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult
 from mgsr.mesh.views import SurfaceView
 from mgsr.shading.light_estimate import LightEstimate, LightKind
 from mgsr.shading.photo_set import PhotoSet
-from tests.mesh.shapes import ball, cameras_around, joined, position_color, silhouettes_of, views_of
+from tests.mesh.shapes import as_mesh, ball, cameras_around, joined, position_color, silhouettes_of, views_of
 from tests.shading.test_shape_from_shading import Shade, flash, matte, photographs, rippled
 
 RADIUS = 0.7
@@ -138,6 +139,29 @@ def test_what_was_never_seen_stays_open_unless_closed() -> None:
     assert counts.holes == 1 and counts.boundary_edges > 10
     closed = extract_mesh(views, replace(CONFIG, close_holes=True))
     assert topology(closed).boundary_edges == 0
+
+
+def test_flanks_that_views_only_graze_come_from_the_start() -> None:
+    above = [camera for camera in cameras_around(40) if camera.center[2] > 2.4]
+    views, config = views_of(ball(RADIUS), above), replace(CONFIG, max_light_residual=None)
+    points = np.asarray(ball(RADIUS).vertices)
+    seen = np.any([((camera.center - points) * points).sum(1) > 0 for camera in above], axis=0)
+
+    def missing(mesh: Mesh) -> float:
+        """Return the share of the seen points that lie more than two pixels from the mesh."""
+        return float((cKDTree(mesh.vertices).query(points[seen])[0] > 0.036).mean())
+
+    start = as_mesh(ball(1.01 * RADIUS))
+    alone, completed = extract_mesh(views, config), extract_mesh(views, config, start=start)
+    assert missing(alone) > 0.1
+    assert missing(completed) < 0.01
+    assert radial_error(completed).max() < 0.012
+    assert topology(completed).boundary_edges > 10, "what no camera sees stays open"
+
+
+def test_a_start_that_the_views_contradict_adds_nothing(views: list[SurfaceView]) -> None:
+    mesh = extract_mesh(views, CONFIG, start=as_mesh(ball(1.4 * RADIUS)))
+    assert radial_error(mesh).max() < 0.01
 
 
 def test_thin_walls_keep_both_sides() -> None:

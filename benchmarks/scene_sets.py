@@ -266,6 +266,15 @@ RENDERED = (
         "--seed 403",
     ),
     BenchmarkScene(
+        "brucewick_cone",
+        Kind.ONE_SIDE,
+        SceneSet.TUNING,
+        "brucewick.obj",
+        "--up z --views 32 --solid blobs --freq 4 --color 0.62,0.50,0.40 --color2 0.20,0.12,0.16 --material plastic "
+        "--roughness 0.3 --light soft --seed 311",
+        Cameras.CONE,
+    ),
+    BenchmarkScene(
         "hand_cone_hdr",
         Kind.ONE_SIDE,
         SceneSet.TUNING,

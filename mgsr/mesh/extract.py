@@ -20,7 +20,6 @@ from mgsr.mesh.steps.step import MeshStep, StepContext, StepReport, TimeLeft, cu
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.mesh.surface_choice import is_torn, photographs_prefer_start
 from mgsr.mesh.tsdf import tsdf_surface
-from mgsr.mesh.view_fit import fit_to_views
 from mgsr.mesh.views import SurfaceView
 from mgsr.shading.light_estimate import LightEstimate
 from mgsr.shading.photo_set import PhotoSet
@@ -43,8 +42,8 @@ def extract_mesh(
     go_on: returns whether there is time for another round of refinement.
 
     start: the surface on which training began. Poisson reconstruction takes its points where the views have no reliable
-    ones, such as on flanks that every view sees at a grazing angle. It replaces the trained surface if the photographs
-    clearly prefer it. If the trained surface is torn, `start` fitted to the views replaces it.
+    ones, such as on flanks that every view sees at a grazing angle. It replaces the trained surface if that is torn, or
+    if the photographs clearly prefer `start`.
     steps: the steps that finish the mesh; None: all.
     ground [4]: the plane on which the object stands, in the views' frame, where the mesh ends; None if it is unknown.
     expert: the options of all algorithms.
@@ -58,12 +57,11 @@ def extract_mesh(
     hull = SilhouetteHull(photos.silhouettes, photos.dissent) if bounded else None
     context = StepContext(views, photos, config, footprint, hull, TimeLeft(go_on), ground, expert.mesh)
     trained = _by_poisson(context, start) if config.extractor is Extractor.POISSON else _by_tsdf(context)
-    chosen = None if start is None else _better_start(start, trained, context, expert)
-    mesh, light, reports = take_steps(
-        trained if chosen is None else chosen, context, mesh_steps(expert) if steps is None else steps
-    )
+    start_kept = start is not None and _start_is_better(start, trained, context, expert)
+    raw = start if start is not None and start_kept else trained
+    mesh, light, reports = take_steps(raw, context, mesh_steps(expert) if steps is None else steps)
     colors = vertex_colors(mesh, views, config.min_alpha, _tolerance(context), photos.threads, expert.mesh.colors)
-    return ReconstructedMesh(mesh.vertices, mesh.faces, colors, light.kind, chosen is not None, reports).with_normals(
+    return ReconstructedMesh(mesh.vertices, mesh.faces, colors, light.kind, start_kept, reports).with_normals(
         mesh.normals
     )
 
@@ -82,17 +80,12 @@ def take_steps(
     return mesh, light, reports
 
 
-def _better_start(start: Mesh, trained: Mesh, context: StepContext, expert: ExpertConfig) -> Mesh | None:
-    """Return the surface on which training began if it is better; it is fitted to the views if the trained one is torn.
-
-    Returns None if the trained surface stays.
-    """
-    photos, config, options = context.photos, context.config, context.options
-    if not photos.views or not len(trained.faces):
-        return None
-    if is_torn(trained, start, options.choice.tears):
-        return fit_to_views(start, context.views, _rules(config), _tolerance(context), photos.threads, options)
-    return start if photographs_prefer_start(start, trained, photos, expert) else None
+def _start_is_better(start: Mesh, trained: Mesh, context: StepContext, expert: ExpertConfig) -> bool:
+    """Return whether the surface on which training began replaces the trained one."""
+    if not context.photos.views or not len(trained.faces):
+        return False
+    torn = is_torn(trained, start, context.options.choice.tears)
+    return torn or photographs_prefer_start(start, trained, context.photos, expert)
 
 
 def _tolerance(context: StepContext) -> float:

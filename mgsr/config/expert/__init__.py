@@ -45,7 +45,6 @@ from mgsr.config.expert.mesh import (
     SurfaceChoiceOptions,
     TextureOptions,
     UnwrapOptions,
-    ViewFitOptions,
 )
 from mgsr.config.expert.mesh_steps import MeshStepOptions
 from mgsr.config.expert.segmentation import (
@@ -182,6 +181,5 @@ __all__ = [
     "VerdictOptions",
     "ViewColorOptions",
     "ViewCountOptions",
-    "ViewFitOptions",
     "ZoomCheckOptions",
 ]

@@ -26,16 +26,6 @@ class SurfaceChoiceOptions(Options):
 
 
 @dataclass(frozen=True)
-class ViewFitOptions(Options):
-    """The registration of the first surface to the rendered views, where the trained surface is torn."""
-
-    prior_weight: Positive = 0.02  # weight of the position of a vertex that no view confirms; the weight of others is 1
-    confidence: Share = 0.1  # confidence in the normal of a vertex without a similar normal in the views; that of
-    # others is 1
-    min_cosine: Share = 0.3  # least cosine between a vertex's normal and a similar normal of the views' surface
-
-
-@dataclass(frozen=True)
 class ColorOptions(Options):
     """The colours of vertices and texels, blended from the rendered views."""
 
@@ -94,7 +84,6 @@ class MeshOptions(Options):
     confirm_reach: Positive = 2.0  # times the tolerance; the distance from a view's surface up to which the view
     # confirms a point, wide enough for the noise of depths
     choice: SurfaceChoiceOptions = field(default_factory=SurfaceChoiceOptions)
-    view_fit: ViewFitOptions = field(default_factory=ViewFitOptions)
     colors: ColorOptions = field(default_factory=ColorOptions)
     texture: TextureOptions = field(default_factory=TextureOptions)
     steps: MeshStepOptions = field(default_factory=MeshStepOptions)

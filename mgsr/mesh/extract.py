@@ -57,11 +57,12 @@ def extract_mesh(
     hull = SilhouetteHull(photos.silhouettes, photos.dissent) if bounded else None
     context = StepContext(views, photos, config, footprint, hull, TimeLeft(go_on), ground, expert.mesh)
     trained = _by_poisson(context, start) if config.extractor is Extractor.POISSON else _by_tsdf(context)
-    start_kept = start is not None and _start_is_better(start, trained, context, expert)
-    raw = start if start is not None and start_kept else trained
-    mesh, light, reports = take_steps(raw, context, mesh_steps(expert) if steps is None else steps)
+    kept = start if start is not None and _start_is_better(start, trained, context, expert) else None
+    mesh, light, reports = take_steps(
+        trained if kept is None else kept, context, mesh_steps(expert) if steps is None else steps
+    )
     colors = vertex_colors(mesh, views, config.min_alpha, _tolerance(context), photos.threads, expert.mesh.colors)
-    return ReconstructedMesh(mesh.vertices, mesh.faces, colors, light.kind, start_kept, reports).with_normals(
+    return ReconstructedMesh(mesh.vertices, mesh.faces, colors, light.kind, kept is not None, reports).with_normals(
         mesh.normals
     )
 

@@ -68,7 +68,7 @@ def parsed(scene: BenchmarkScene, source: str) -> SimpleNamespace:
 
 
 def test_names_and_seeds_are_unique() -> None:
-    assert len({scene.name for scene in SCENES}) == len(SCENES) == 32
+    assert len({scene.name for scene in SCENES}) == len(SCENES) == 33
     seeds = [scene.arguments.split()[scene.arguments.split().index("--seed") + 1] for scene in RENDERED]
     assert len(set(seeds)) == len(RENDERED)
 
@@ -87,7 +87,9 @@ def test_sources_and_ready_made_scenes_lie_beside_the_checkout(shared_data: Path
 @pytest.mark.parametrize("scene", RENDERED, ids=lambda scene: scene.name)
 def test_the_renderer_takes_the_arguments(scene: BenchmarkScene, tool_source: str) -> None:
     taken = parsed(scene, tool_source)
-    views = {"cow_flash_16": 16, "homer_cone": 32, "hand_cone_hdr": 32, "penguin_cone": 32}.get(scene.name, 48)
+    views = {"cow_flash_16": 16, "homer_cone": 32, "hand_cone_hdr": 32, "brucewick_cone": 32, "penguin_cone": 32}.get(
+        scene.name, 48
+    )
     samples = {"bowl_soft": 192, "cup_coat_hdr": 128, "mushroom_soft": 96, "vase_sky": 128}.get(scene.name, 64)
     assert (taken.res, taken.views, taken.test_views, taken.spp) == (256, views, 8, samples)
     lights = [word for word in scene.name.split("_") if word in ("soft", "sky", "hdr", "flash", "dark")]

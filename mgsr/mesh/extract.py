@@ -42,8 +42,8 @@ def extract_mesh(
     go_on: returns whether there is time for another round of refinement.
 
     start: the surface on which training began. Poisson reconstruction takes its points where the views have no reliable
-    ones, such as on flanks that every view sees at a grazing angle. It replaces the trained surface if that is torn, or
-    if the photographs clearly prefer `start`.
+    ones, such as on flanks that every view sees at a grazing angle. `start` replaces the trained surface if that is
+    torn, or if the photographs clearly prefer `start`.
     steps: the steps that finish the mesh; None: all.
     ground [4]: the plane on which the object stands, in the views' frame, where the mesh ends; None if it is unknown.
     expert: the options of all algorithms.

@@ -28,6 +28,12 @@ class OrientedPoints:
         """Return the points where keep [P] bool is True."""
         return OrientedPoints(self.positions[keep], self.normals[keep])
 
+    def near(self, places: np.ndarray, reach: float) -> np.ndarray:
+        """Return the places [Q,3] that have a point within `reach`, in the scene's unit: [Q] bool."""
+        distances, _ = cKDTree(self.positions).query(places, distance_upper_bound=reach, workers=-1)
+        near: np.ndarray = np.isfinite(distances)
+        return near
+
 
 @dataclass(frozen=True)
 class CellSums:
@@ -107,16 +113,14 @@ def gather_points(
 
 
 def complete_points(points: OrientedPoints, surface: Mesh, cell: float, reach: float) -> OrientedPoints:
-    """Add points of a surface wherever no point lies within `reach`.
+    """Return the points, and those of a surface that have no point within `reach`.
 
     cell: the side of the cubic cells in which the surface's vertices are averaged. Both lengths are in the scene's
     unit.
     """
     vertices = OrientedPoints(surface.vertices.astype(np.float32), surface.normals.astype(np.float32))
     added = CellSums.of(vertices, np.ones(len(vertices), np.float32), cell).mean()
-    if len(points):
-        near = cKDTree(points.positions).query(added.positions, distance_upper_bound=reach, workers=-1)[0] <= reach
-        added = added.where(~near)
+    added = added.where(~points.near(added.positions, reach))
     return OrientedPoints(
         np.concatenate([points.positions, added.positions]), np.concatenate([points.normals, added.normals])
     )

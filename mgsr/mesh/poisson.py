@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mgsr.config.expert import MeshOptions
 from mgsr.geometry.mesh import Mesh
@@ -41,5 +40,4 @@ def poisson_surface(points: OrientedPoints, depth: int, margin: float = MeshOpti
 
 def trim_unsupported(mesh: Mesh, points: OrientedPoints, reach: float) -> Mesh:
     """Drop the faces that have a vertex farther than `reach`, in the scene's unit, from all points."""
-    near = np.isfinite(cKDTree(points.positions).query(mesh.vertices, distance_upper_bound=reach, workers=-1)[0])
-    return mesh.keep_faces(near[mesh.faces].all(1))
+    return mesh.keep_faces(points.near(mesh.vertices, reach)[mesh.faces].all(1))

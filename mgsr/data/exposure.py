@@ -7,12 +7,13 @@ common exposure. This module divides by the gains, so all later steps see one ex
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from mgsr.config.expert import BrightnessOptions
+from mgsr.config.expert import BrightnessOptions, ObservationOptions
 from mgsr.data.images import linear_to_srgb, srgb_to_linear, to_uint8
 from mgsr.data.pixels import PixelStore
 from mgsr.data.robust import robust_deviation
@@ -29,7 +30,7 @@ def with_exposures(scene: Scene, exposures: Exposures) -> Scene:
     def at_common(view: View, factor: np.ndarray) -> View:
         """Return the view at the common exposure, by its factor [3], with the image in the store."""
         there = at_common_exposure(view, factor)
-        return view if there is view else replace(there, image=pixels.hold(there.image))
+        return there if there.image is view.image else replace(there, image=pixels.hold(there.image))
 
     train = [at_common(view, factor) for view, factor in zip(scene.train, exposures.train, strict=True)]
     test = [at_common(view, factor) for view, factor in zip(scene.test, exposures.test, strict=True)]
@@ -39,14 +40,28 @@ def with_exposures(scene: Scene, exposures: Exposures) -> Scene:
 def at_common_exposure(view: View, factor: np.ndarray) -> View:
     """Return the view with its linear light divided by the factor [3].
 
-    Values that become brighter than white are clipped. Values that the photograph clipped remain its brightest.
+    Values that become brighter than white are clipped. `View.white` tells the values that are clipped here or in the
+    photograph.
     """
-    if (factor == 1).all():
-        return view
     light = srgb_to_linear(np.arange(256) / 255)[:, None] / factor
     table = to_uint8(255 * linear_to_srgb(np.clip(light, 0, 1)))
+    clipped = math.ceil(255 * ObservationOptions().clipped)
+    white = np.minimum(table[clipped], clipped).astype(np.uint8)
+    if (factor == 1).all():
+        return replace(view, white=white)
     image = np.stack([table[view.image[..., channel], channel] for channel in range(3)], axis=-1)
-    return replace(view, image=image)
+    return replace(view, image=image, white=white)
+
+
+def raised_where_clipped(view: View, rendered: np.ndarray) -> np.ndarray:
+    """Return a view's photograph [H,W,3], 0..1, with the values of a rendering [H,W,3] where that is brighter than white.
+
+    The photograph tells the least brightness of a clipped pixel, so a brighter rendering is no error there.
+    """
+    image = view.image / 255
+    if view.white is None:
+        return image
+    return np.where(view.image >= view.white, np.maximum(image, rendered), image)
 
 
 def brightness_jumps(views: Sequence[View], options: BrightnessOptions = BrightnessOptions()) -> float:

@@ -32,6 +32,8 @@ class View:
     `valid_mask.py`).
     irradiance [H,W] uint8: the irradiance of each pixel's surface by a flash on the camera, as 255 light^(1/2.4) of the
     light relative to its maximum; None if no flash is known.
+    white [3] uint8: the least values of the channels that may be clipped, so that the light may have been brighter; None
+    unless the photograph was brought to a common exposure. Otherwise, all photographs clip at the same light.
     """
 
     name: str
@@ -40,6 +42,7 @@ class View:
     alpha: np.ndarray | None = None
     valid_mask: np.ndarray | None = None
     irradiance: np.ndarray | None = None
+    white: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

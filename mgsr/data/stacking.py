@@ -46,7 +46,8 @@ def averaged(view: View, camera: Camera, mean: Callable[[np.ndarray], np.ndarray
     """
     pixels, valid = valid_mean(stack(view, premultiply=True), view.valid_mask, mean)
     irradiance = None if view.irradiance is None else _bytes(mean(view.irradiance[..., None])[..., 0])
-    return replace(unstack(view.name, camera, pixels, premultiplied=True), valid_mask=valid, irradiance=irradiance)
+    small = unstack(view.name, camera, pixels, premultiplied=True)
+    return replace(small, valid_mask=valid, irradiance=irradiance, white=view.white)
 
 
 def _bytes(pixels: np.ndarray) -> np.ndarray:

@@ -70,7 +70,7 @@ def whole_part(view: View) -> View:
     height, width = rows.stop - rows.start, columns.stop - columns.start
     camera = replace(view.camera, K=K, width=width, height=height)
     alpha = None if view.alpha is None else view.alpha[rows, columns]
-    return View(view.name, camera, view.image[rows, columns], alpha)
+    return View(view.name, camera, view.image[rows, columns], alpha, white=view.white)
 
 
 def largest_rectangle(valid: np.ndarray) -> tuple[slice, slice]:

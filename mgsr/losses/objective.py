@@ -38,7 +38,7 @@ def total(terms: Mapping[str, Term | Tensor]) -> Loss:
 
 def surfel_terms(outputs: SurfelOutputs, target: Target, config: TrainConfig, regularised: bool = True) -> Terms:
     """Return the terms of L_2D: the photograph, the silhouette and, if `regularised`, the surface's smoothness."""
-    terms: Terms = {"surfels.photo": _photo(outputs.color, target.color, target, config, target.off_edge)}
+    terms: Terms = {"surfels.photo": _own_photo(outputs.color, target, config, target.off_edge)}
     terms |= _silhouette("surfels", outputs.alpha, target, config.surfels.alpha_weight, config, target.off_edge)
     if regularised:
         terms |= surface_terms(outputs, target, target.color, target.covered(outputs.alpha), config)
@@ -53,7 +53,7 @@ def gaussian_terms(
     covered [H,W]: what `target.covered` says of the alpha, where that is known already.
     """
     settings, depth_tv_weight = config.gaussians, config.paper.gaussian_depth_tv_weight
-    terms: Terms = {"gaussians.photo": _photo(outputs.color, target.color, target, config, clip=True)}
+    terms: Terms = {"gaussians.photo": _own_photo(outputs.color, target, config, clip=True)}
     terms |= _silhouette("gaussians", outputs.alpha, target, settings.alpha_weight, config)
     if config.paper.tv and (settings.transmitted_tv_weight or depth_tv_weight):
         covered = target.covered(outputs.alpha) if covered is None else covered
@@ -83,7 +83,7 @@ def mutual_terms(surfels: SurfelOutputs, gaussians: GaussianOutputs, target: Tar
     transmitted = gaussians.transmitted if both else gaussians.transmitted.detach()
     where, on_surfels, on_gaussians = target.off_edge, target.covered(surfels.alpha), target.covered(gaussians.alpha)
     of_surfels: Terms = {
-        "surfels.photo": settings.photo_weight * _photo(surfels.color, target.color, target, config, where),
+        "surfels.photo": settings.photo_weight * _own_photo(surfels.color, target, config, where),
         "surfels.transmitted": (1 - settings.photo_weight) * _photo(surfels.color, transmitted, target, config, where),
     }
     of_surfels |= _silhouette("surfels", surfels.alpha, target, config.surfels.alpha_weight, config, where)
@@ -168,6 +168,13 @@ def depth_unit(kind: DepthUnit, gaussian_depth: Tensor, distance: float) -> floa
 def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
     """Return the depth [H,W] that counts as the surface: the expected or the median one, as the settings say."""
     return outputs.depth if config.paper.surface_depth is SurfaceDepth.EXPECTED else outputs.median_depth
+
+
+def _own_photo(
+    image: Tensor, target: Target, config: TrainConfig, where: Tensor | None = None, clip: bool = False
+) -> Term:
+    """Return the photometric term of an image [H,W,3] against the target's photograph; see `_photo`."""
+    return _photo(image, target.color_beside(image.clamp(max=1) if clip else image), target, config, where, clip)
 
 
 def _photo(

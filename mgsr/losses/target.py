@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from mgsr.data.camera import Camera
@@ -20,6 +21,7 @@ class Target:
     camera: of the photograph.
     region (y0, y1, x0, x1): the box of the photographic losses, ends excluded; None: the whole image.
     invalid [P] int64: the flat indices (row x W + column) of invalid pixels; None if all pixels are valid.
+    clipped [H,W,3] bool: where the light may have been brighter than the colour; None if that is unknown.
     """
 
     color: Tensor
@@ -29,6 +31,16 @@ class Target:
     off_edge: Tensor | None = None  # [H,W] float32: 0 near the mask's outline, 1 elsewhere; None without masks
     off_edge_sum: float | None = None  # over all pixels, beside off_edge; None if not computed
     invalid: Tensor | None = None
+    clipped: Tensor | None = None
+
+    def color_beside(self, rendered: Tensor) -> Tensor:
+        """Return the photograph's colours [H,W,3] for a comparison with those of a rendering [H,W,3].
+
+        Where the photograph is clipped and the rendering brighter, they are the rendering's, without a gradient.
+        """
+        if self.clipped is None:
+            return self.color
+        return torch.where(self.clipped, torch.maximum(self.color, rendered.detach()), self.color)
 
     def compared(self, rendered: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         """Return a rendering and its target with the same values at invalid pixels, for a loss.

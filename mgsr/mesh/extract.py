@@ -13,7 +13,7 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.colors import vertex_colors
 from mgsr.mesh.consistency import SilhouetteHull, compare_views
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
-from mgsr.mesh.points import complete_points, gather_points
+from mgsr.mesh.points import front_views, gather_points, missing_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
 from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepReport, TimeLeft, cure
@@ -104,18 +104,24 @@ def _by_poisson(context: StepContext, start: Mesh | None) -> Mesh:
     cell = cell_size(_extent(views, config, options.outliers), config.poisson_depth, options.poisson_margin)
     spacing = max(config.cell * cell, context.footprint)
     points = gather_points(views, spacing, _rules(config), threads)
+    supporting = np.ones(len(points), bool)
     if start is not None:
-        points = complete_points(points, start, spacing, config.trim * cell)
+        # All added points shape the surface. Those that few views see, such as the underside, do not keep it from being
+        # trimmed.
+        added = missing_points(points, start, spacing, config.trim * cell)
+        seen = front_views(added, start, views, spacing) >= options.supporting_views
+        points, supporting = points.joined(added), np.append(supporting, seen)
     if config.consistency is not None:
         reach = options.confirm_reach
         agreement = compare_views(points, views, _rules(config), config.consistency, threads, reach)
-        points = agreement.moved.where(agreement.agreed)
+        points, supporting = agreement.moved.where(agreement.agreed), supporting[agreement.agreed]
     if hull is not None:
-        points = points.where(hull.excess(points.positions, config.hull_margin or 0) == 0)
+        inside = hull.excess(points.positions, config.hull_margin or 0) == 0
+        points, supporting = points.where(inside), supporting[inside]
     if len(points) < 4:
         raise MeshError(_all_dropped(config))
     mesh = poisson_surface(points, config.poisson_depth, options.poisson_margin)
-    return mesh if config.close_holes else trim_unsupported(mesh, points, config.trim * cell)
+    return mesh if config.close_holes else trim_unsupported(mesh, points.where(supporting), config.trim * cell)
 
 
 def _extent(views: Sequence[SurfaceView], config: MeshConfig, outliers: float) -> float:

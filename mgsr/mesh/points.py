@@ -28,6 +28,11 @@ class OrientedPoints:
         """Return the points where keep [P] bool is True."""
         return OrientedPoints(self.positions[keep], self.normals[keep])
 
+    def joined(self, other: OrientedPoints) -> OrientedPoints:
+        """Return these points followed by the other's."""
+        positions = np.concatenate([self.positions, other.positions])
+        return OrientedPoints(positions, np.concatenate([self.normals, other.normals]))
+
     def near(self, places: np.ndarray, reach: float) -> np.ndarray:
         """Return the places [Q,3] that have a point within `reach`, in the scene's unit: [Q] bool."""
         distances, _ = cKDTree(self.positions).query(places, distance_upper_bound=reach, workers=-1)
@@ -112,15 +117,24 @@ def gather_points(
     return CellSums.merged(list(map_ahead(sums_of, views, threads))).mean()
 
 
-def complete_points(points: OrientedPoints, surface: Mesh, cell: float, reach: float) -> OrientedPoints:
-    """Return the points, and those of a surface that have no point within `reach`.
+def missing_points(points: OrientedPoints, surface: Mesh, cell: float, reach: float) -> OrientedPoints:
+    """Return the points of a surface that have none of the given points within `reach`.
 
     cell: the side of the cubic cells in which the surface's vertices are averaged. Both lengths are in the scene's
     unit.
     """
     vertices = OrientedPoints(surface.vertices.astype(np.float32), surface.normals.astype(np.float32))
-    added = CellSums.of(vertices, np.ones(len(vertices), np.float32), cell).mean()
-    added = added.where(~points.near(added.positions, reach))
-    return OrientedPoints(
-        np.concatenate([points.positions, added.positions]), np.concatenate([points.normals, added.normals])
-    )
+    found = CellSums.of(vertices, np.ones(len(vertices), np.float32), cell).mean()
+    return found.where(~points.near(found.positions, reach))
+
+
+def front_views(points: OrientedPoints, surface: Mesh, views: Sequence[SurfaceView], gap: float) -> np.ndarray:
+    """Return the number of views, [P], that see each point of a surface from the front.
+
+    gap: the distance before a point, in the scene's unit, within which nothing occludes it.
+    """
+    count = np.zeros(len(points), np.int32)
+    for view in views:
+        front = ((view.camera.center - points.positions) * points.normals).sum(axis=1) > 0
+        count += front & surface.caster.sees(view.camera, points.positions, gap, view.mask)
+    return count

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mgsr.data.backdrop import WHITE, Color
+from mgsr.data.exposure import raised_where_clipped
 from mgsr.data.images import read_image
 from mgsr.data.scene import Scene, View
 from mgsr.export.renders import straight_color
@@ -59,7 +60,7 @@ class ImageScores:
 def image_scores(rendered: Sequence[RenderedView], scene: Scene, background: Color = WHITE) -> ImageScores:
     """Score the test renders against the photographs. background: the colour behind views without masks."""
     views = {
-        image.name: image_metrics(photograph(view), rendering(image), view.valid_mask, background) | _whole(image, view)
+        image.name: _compared(image, view, background) | _whole(image, view)
         for image, view in zip(rendered, scene.test, strict=True)
     }
     return ImageScores(
@@ -100,11 +101,20 @@ def rendering(image: RenderedView) -> np.ndarray:
     return np.dstack([straight_color(image.color, image.alpha), np.clip(image.alpha, 0, 1)])
 
 
+def _compared(image: RenderedView, view: View, background: Color) -> dict[str, float]:
+    """Return the metrics of a render against the photograph, by name."""
+    shown = rendering(image)
+    photo = raised_where_clipped(view, np.clip(shown[..., :3], 0, 1))
+    truth = photo if view.alpha is None else np.dstack([photo, view.alpha / 255])
+    return image_metrics(truth, shown, view.valid_mask, background)
+
+
 def _whole(image: RenderedView, view: View) -> dict[str, float]:
     """Score a render with its background against the whole photograph; empty without a background."""
     if image.whole is None:
         return {}
-    return {"psnr_whole": psnr(view.image / 255, np.clip(image.whole, 0, 1), view.valid_mask)}
+    whole = np.clip(image.whole, 0, 1)
+    return {"psnr_whole": psnr(raised_where_clipped(view, whole), whole, view.valid_mask)}
 
 
 def _split(rendered: Sequence[RenderedView], scene: Scene) -> SplitFacts | None:

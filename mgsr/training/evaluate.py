@@ -57,7 +57,7 @@ def mean_psnr(picture: RenderFunction, views: list[TrainingView], background: Co
     for view in views:
         image = picture(view.camera, background, view.shading()).clamp(0, 1)
         target = view.target(color_tensor(background, view.image.device))
-        squares = (image - target.color).square()
+        squares = (image - target.color_beside(image)).square()
         if target.invalid is not None:
             squares = squares[target.valid_weights(torch.ones_like(squares[..., 0])) > 0]
         error = float(squares.mean())

@@ -65,6 +65,6 @@ class ErrorGrowth:
         _, shown = render_both(self.train_state.model.for_gaussians(), view.camera, behind, shading=view.shading())
         assert shown is not None and shown.depth is not None
         target = view.target(behind)
-        color, target_color = target.compared(shown.color, target.color)
+        color, target_color = target.compared(shown.color, target.color_beside(shown.color))
         base = shown.transmitted if shown.unlit is None else shown.unlit
         return ViewResidual(view.camera, target_color - color, base, shown.depth, target.valid_weights(shown.alpha))

@@ -36,7 +36,7 @@ class TrainingView:
     covered [P] int64: the flat indices (row x W + column) of pixels that the mask touches; None without masks.
     invalid [P] int64: the flat indices of invalid pixels, where the mask is 0 and the image arbitrary; None if all
     pixels are valid.
-    irradiance [H,W] uint8: as in `View`.
+    irradiance [H,W] uint8, white [3] uint8: as in `View`.
     """
 
     name: str
@@ -49,6 +49,7 @@ class TrainingView:
     invalid: Tensor | None = None
     irradiance: Tensor | None = None
     off_edge_sum: float | None = None  # pixels where off_edge is True
+    white: Tensor | None = None
 
     def shading(self) -> Tensor | None:
         """Return `irradiance` as [H,W] in 0..1, for `render_gaussians`; None where no flash lit the view."""
@@ -56,10 +57,13 @@ class TrainingView:
 
     def target(self, behind: Tensor) -> Target:
         """Return the photograph on a background [3], for the losses."""
+        clipped = None if self.white is None else self.image >= self.white
         if self.mask is None:
-            return Target(self.image / 255, None, self.camera, invalid=self.invalid)
+            return Target(self.image / 255, None, self.camera, invalid=self.invalid, clipped=clipped)
+        if clipped is not None:
+            clipped &= (self.mask > 127)[..., None]
         color, alpha, off_edge = composite(self.image, self.mask, behind, self.off_edge, self.region)
-        return Target(color, alpha, self.camera, self.region, off_edge, self.off_edge_sum, self.invalid)
+        return Target(color, alpha, self.camera, self.region, off_edge, self.off_edge_sum, self.invalid, clipped)
 
 
 def prepare_views(
@@ -97,8 +101,9 @@ def _prepared(
     # The host finds the indices, so that it need not wait for a GPU.
     invalid = None if view.valid_mask is None else torch.from_numpy(np.flatnonzero(~view.valid_mask)).to(device)
     irradiance = None if view.irradiance is None else _moved(view.irradiance, device)
+    white = None if view.white is None else torch.from_numpy(view.white).to(device)
     if view.alpha is None:
-        return TrainingView(view.name, view.camera, image, None, invalid=invalid, irradiance=irradiance)
+        return TrainingView(view.name, view.camera, image, None, invalid=invalid, irradiance=irradiance, white=white)
     alpha = view.alpha if view.valid_mask is None else store.hold(np.where(view.valid_mask, view.alpha, np.uint8(0)))
     mask, covered = torch.from_numpy(alpha), torch.from_numpy(store.hold(np.flatnonzero(alpha)))
     region = None if margin is None else bounding_region(alpha, margin)
@@ -107,7 +112,7 @@ def _prepared(
         off_edge = torch.from_numpy(store.hold(away_from_contour(mask, edge_band, view.valid_mask).numpy()))
     off_edge_sum = None if off_edge is None else float(off_edge.sum())
     mask_parts = (_moved(alpha, device), region, None if off_edge is None else off_edge.to(device), covered.to(device))
-    return TrainingView(view.name, view.camera, image, *mask_parts, invalid, irradiance, off_edge_sum)
+    return TrainingView(view.name, view.camera, image, *mask_parts, invalid, irradiance, off_edge_sum, white)
 
 
 def _held(view: View, store: PixelStore) -> View:

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mgsr.data.exposure import at_common_exposure, brightness_jumps, with_exposures
+from mgsr.data.exposure import at_common_exposure, brightness_jumps, raised_where_clipped, with_exposures
+from mgsr.data.photograph import Photograph
 from mgsr.data.scene import Exposures, View
 from tests.training.ball import ball_scene
 
@@ -38,10 +39,31 @@ def test_what_an_exposure_did_is_undone(factor: tuple[float, float, float]) -> N
     assert back.alpha is view.alpha and back.camera is view.camera
 
 
-def test_a_factor_of_one_changes_nothing() -> None:
+def test_a_factor_of_one_changes_no_pixel() -> None:
     scene = ball_scene(size=24, train=4)
     same = with_exposures(scene, Exposures(np.ones((len(scene.train), 3)), np.ones((len(scene.test), 3))))
-    assert all(a is b for a, b in zip([*same.train, *same.test], [*scene.train, *scene.test], strict=True))
+    assert all(a.image is b.image for a, b in zip([*same.train, *same.test], [*scene.train, *scene.test], strict=True))
+
+
+@pytest.mark.parametrize("factor", [(1.4, 1.8, 1.2), (0.7, 1.0, 0.8)])
+def test_the_pixels_that_may_have_been_brighter_are_known(factor: tuple[float, float, float]) -> None:
+    (plain, *_) = ball_scene(size=40, train=4).train
+    view = replace(plain, image=np.random.default_rng(0).integers(20, 256, plain.image.shape, np.uint8))
+    factors, true = np.array(factor), view.image / 255
+    back = at_common_exposure(exposed(view, factors), factors)
+    assert back.white is not None
+    lost = np.clip(to_linear(true) * factors, 0, 1) >= to_linear(np.array(253 / 255))  # white in the photograph
+    lost |= true >= 253 / 255  # or at the common exposure
+    clipped = back.image >= back.white
+    assert 0.005 < lost.mean() < 0.9
+    assert clipped[lost].all()
+    unlike = np.abs(back.image / 255 - true)
+    assert unlike[~clipped].max() < 0.02
+    raised = raised_where_clipped(back, true)
+    assert np.abs(raised - true)[clipped].max() < 0.02, "the true light is no error"
+    darker = raised_where_clipped(back, 0 * true)
+    np.testing.assert_array_equal(darker, back.image / 255)
+    assert not Photograph(replace(back, alpha=None)).usable[lost.any(axis=-1)].any()
 
 
 def test_jumps_are_about_the_deviation_of_the_exposures() -> None:

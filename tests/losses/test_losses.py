@@ -103,6 +103,23 @@ def test_a_term_without_weight_is_not_computed() -> None:
     assert set(unregularised) == {"surfels.photo", "surfels.alpha"}
 
 
+@pytest.mark.parametrize("branch", ["surfels", "gaussians"])
+def test_a_clipped_pixel_pulls_no_brighter_rendering(branch: str) -> None:
+    config = make_config(overrides=["tv=off", "l1_weight=1"]).train
+    photo, clipped = torch.full((SIZE, SIZE, 3), 0.6), torch.zeros(SIZE, SIZE, 3, dtype=torch.bool)
+    clipped[:, 8:] = True
+    shown = torch.full((SIZE, SIZE, 3), 0.7)
+    shown[:4] = 0.5
+    given = replace(target(masked=False), color=photo, clipped=clipped)
+    outputs = replace(surfels() if branch == "surfels" else gaussians(), color=shown.requires_grad_())
+    terms = surfel_terms if branch == "surfels" else gaussian_terms
+    term = of_images(terms(outputs, given, config)[f"{branch}.photo"])  # type: ignore[operator]
+    (gradient,) = torch.autograd.grad(scalar(term), outputs.color)
+    assert (gradient[4:, 8:] == 0).all(), "brighter than the clipped photograph"
+    assert (gradient[:4] < 0).all(), "darker, clipped or not"
+    assert (gradient[4:, :8] > 0).all(), "brighter than an unclipped photograph"
+
+
 @pytest.mark.parametrize("teaching", ["both_ways", "one_way"])
 def test_who_is_taught(teaching: str) -> None:
     """Check that one way the 2D branch's terms leave C_tran alone, and the depth loss the 2D branch's depth."""

@@ -9,11 +9,13 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from mgsr.config import Extractor, MeshConfig
+from mgsr.config import ExpertConfig, Extractor, MeshConfig
+from mgsr.config.expert import MeshOptions
 from mgsr.errors import MeshError
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import topology
 from mgsr.mesh.extract import extract_mesh
+from mgsr.mesh.points import OrientedPoints, front_views, missing_points
 from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult
 from mgsr.mesh.views import SurfaceView
@@ -152,11 +154,24 @@ def test_flanks_that_views_only_graze_come_from_the_start() -> None:
         return float((cKDTree(mesh.vertices).query(points[seen])[0] > 0.036).mean())
 
     start = as_mesh(ball(1.01 * RADIUS))
-    alone, completed = extract_mesh(views, config), extract_mesh(views, config, start=start)
+    expert = replace(ExpertConfig(), mesh=MeshOptions(supporting_views=1))
+    alone, completed = extract_mesh(views, config), extract_mesh(views, config, start=start, expert=expert)
     assert missing(alone) > 0.1
     assert missing(completed) < 0.01
     assert radial_error(completed).max() < 0.012
     assert topology(completed).boundary_edges > 10, "what no camera sees stays open"
+
+
+def test_the_views_that_see_a_point_of_the_start() -> None:
+    cameras = [camera for camera in cameras_around(400) if camera.center[2] > 2.94]
+    start = as_mesh(ball(RADIUS))
+    top = OrientedPoints(np.array([[0, 0, RADIUS]], np.float32), np.array([[0, 0, 1]], np.float32))
+    others = missing_points(top, start, cell=0.02, reach=0.02)
+    assert 0.02 < np.linalg.norm(others.positions - top.positions, axis=1).min() < 0.05
+    seen = front_views(others, start, views_of(ball(RADIUS), cameras), gap=0.02)
+    front = np.sum([((camera.center - others.positions) * others.normals).sum(1) > 0 for camera in cameras], axis=0)
+    assert (seen == front).mean() > 0.98
+    assert seen.max() == len(cameras)
 
 
 def test_a_start_that_the_views_contradict_adds_nothing(views: list[SurfaceView]) -> None:

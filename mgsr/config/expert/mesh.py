@@ -83,6 +83,7 @@ class MeshOptions(Options):
     # count for the surface's bounding box
     confirm_reach: Positive = 2.0  # times the tolerance; the distance from a view's surface up to which the view
     # confirms a point, wide enough for the noise of depths
+    supporting_views: Count = 3  # views that must see a point of the first surface, so that the surface there is kept
     choice: SurfaceChoiceOptions = field(default_factory=SurfaceChoiceOptions)
     colors: ColorOptions = field(default_factory=ColorOptions)
     texture: TextureOptions = field(default_factory=TextureOptions)

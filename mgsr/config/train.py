@@ -21,7 +21,7 @@ class Background(StrEnum):
     """What lies behind the splats in training.
 
     auto: random colours if there are masks; otherwise the colour of a plain backdrop, with learned silhouettes;
-    otherwise white.
+    otherwise the photographs' mean colour, which is the least wrong where no splats are.
     """
 
     AUTO = "auto"

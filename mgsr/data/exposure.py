@@ -54,9 +54,10 @@ def at_common_exposure(view: View, factor: np.ndarray) -> View:
 
 
 def raised_where_clipped(view: View, rendered: np.ndarray) -> np.ndarray:
-    """Return a view's photograph [H,W,3], 0..1, with the values of a rendering [H,W,3] where that is brighter than white.
+    """Return a view's photograph [H,W,3], 0..1, for a comparison with a rendering [H,W,3].
 
-    The photograph tells the least brightness of a clipped pixel, so a brighter rendering is no error there.
+    Where the photograph is clipped and the rendering brighter, the result has the rendering's values, because the
+    photograph tells only how bright the light was at least.
     """
     image = view.image / 255
     if view.white is None:

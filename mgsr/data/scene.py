@@ -32,8 +32,8 @@ class View:
     `valid_mask.py`).
     irradiance [H,W] uint8: the irradiance of each pixel's surface by a flash on the camera, as 255 light^(1/2.4) of the
     light relative to its maximum; None if no flash is known.
-    white [3] uint8: the least values of the channels that may be clipped, so that the light may have been brighter; None
-    unless the photograph was brought to a common exposure. Otherwise, all photographs clip at the same light.
+    white [3] uint8: the least values of the channels that may be clipped, so that the light may have been brighter.
+    None unless the photograph was brought to a common exposure; otherwise, all photographs clip at the same light.
     """
 
     name: str
@@ -177,12 +177,27 @@ class Scene:
         photographs = [(view.image, view.valid_mask) for view in self.train]
         return None if self.masked else plain_backdrop(photographs, self.options.backdrop)
 
+    @cached_property
+    def mean_color(self) -> Color:
+        """Return the mean colour of the training photographs' valid pixels, sRGB 0..1; white without a valid pixel."""
+        pixels = [
+            view.image[::4, ::4].reshape(-1, 3)
+            if view.valid_mask is None
+            else view.image[::4, ::4][view.valid_mask[::4, ::4]]
+            for view in some_of(self.train)
+        ]
+        means = [part.mean(axis=0) / 255 for part in pixels if len(part)]
+        red, green, blue = np.mean(means, axis=0).tolist() if means else WHITE
+        return (red, green, blue)
+
     def backdrop(self, kind: Background) -> Backdrop:
         """Choose the background behind the splats from the background setting, the masks and the photographs."""
         if kind is Background.RANDOM or (kind is Background.AUTO and self.masked):
             return Backdrop(WHITE, random=True)
         if kind is Background.AUTO and self.plain_backdrop is not None:
             return Backdrop(self.plain_backdrop, plain=True, near=self.options.backdrop.near)
+        if kind is Background.AUTO:
+            return Backdrop(self.mean_color)
         return Backdrop(BLACK if kind is Background.BLACK else WHITE)
 
 

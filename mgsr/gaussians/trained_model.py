@@ -9,6 +9,7 @@ from typing import TypeVar
 import torch
 
 from mgsr.config import Reflection
+from mgsr.data.backdrop import WHITE, Color
 from mgsr.data.scene import Similarity
 from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.gaussians.gaussians import GaussianModel
@@ -23,13 +24,15 @@ class TrainedModel:
     """The trained branches, at least one, and the environment map, all in one frame.
 
     A branch is None where the method lacks it, and the environment map where it is not used. background: Gaussians of
-    what lies around a found object; None where no object was looked for or found.
+    what lies around a found object; None where no object was looked for or found. background_color: the colour behind
+    these Gaussians, sRGB 0..1.
     """
 
     surfels: SurfelModel | None
     gaussians: GaussianModel | None
     environment_map: EnvironmentMap | None = None
     background: GaussianModel | None = None
+    background_color: Color = WHITE
 
     def to(self, device: torch.device) -> TrainedModel:
         """Return the same model on a device."""
@@ -38,6 +41,7 @@ class TrainedModel:
             None if self.gaussians is None else self.gaussians.to(device),
             None if self.environment_map is None else self.environment_map.to(device),
             None if self.background is None else self.background.to(device),
+            self.background_color,
         )
 
     def to_scene(self, user_from_scene: Similarity) -> TrainedModel:
@@ -51,6 +55,7 @@ class TrainedModel:
             None if self.gaussians is None else _to_scene(self.gaussians, user_from_scene),
             reflected,
             None if self.background is None else _to_scene(self.background, user_from_scene),
+            self.background_color,
         )
 
     def for_gaussians(self) -> TrainedModel:
@@ -65,6 +70,7 @@ class TrainedModel:
             None if self.gaussians is None else self.gaussians.detached(),
             None if self.environment_map is None else self.environment_map.detached(),
             None if self.background is None else self.background.detached(),
+            self.background_color,
         )
 
     @property

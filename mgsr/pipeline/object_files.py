@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mgsr.data.backdrop import WHITE, Color
 from mgsr.data.images import read_mask
 from mgsr.data.object_scene import with_object
 from mgsr.data.scene import Scene, View
@@ -24,7 +25,7 @@ def write_object(out: Path, scene: Scene, found: FoundObject) -> None:
 
     The masks have the form in which MGSR reads masks beside photographs, so users can correct them and run again.
     object.json has the corners of the object's box and its support plane, both in the user's frame. For each training
-    view, by name, it has the agreement of the view's mask with the others.
+    view, by name, it has the agreement of the view's mask with the others. `write_background_color` adds a colour.
     """
     with atomic_write(out / MASKS) as folder:
         for (_, name), mask in zip(_names(scene), [*found.train, *found.test], strict=True):
@@ -35,6 +36,21 @@ def write_object(out: Path, scene: Scene, found: FoundObject) -> None:
     plane = None if ground is None else ground.tolist()
     with atomic_write(out / OBJECT) as path:
         path.write_text(json.dumps({"box": [*low, *high], "ground": plane, "agreement": agreement}, indent=1))
+
+
+def write_background_color(out: Path, color: Color) -> None:
+    """Add the colour behind the background's Gaussians, sRGB 0..1, to object.json."""
+    found = json.loads((out / OBJECT).read_text())
+    with atomic_write(out / OBJECT) as path:
+        path.write_text(json.dumps({**found, "background_color": list(color)}, indent=1))
+
+
+def read_background_color(out: Path) -> Color:
+    """Return the colour behind the background's Gaussians, sRGB 0..1; white without one."""
+    if not (out / OBJECT).is_file():
+        return WHITE
+    red, green, blue = json.loads((out / OBJECT).read_text()).get("background_color", WHITE)
+    return (red, green, blue)
 
 
 def ground_of(scene: Scene, found: FoundObject) -> np.ndarray | None:

@@ -30,6 +30,7 @@ from mgsr.pipeline.object_files import (
     ground_of,
     require_place_for_masks,
     with_found_object,
+    write_background_color,
     write_object,
 )
 from mgsr.pipeline.progress import Event
@@ -250,8 +251,9 @@ def _object_alone(
         text = "training what lies around the object"
         with step("background", text):
             report = step.share("background", text)
-            background = train_background(whole, found.train, start, config, step.should_stop, report)
+            background, color = train_background(whole, found.train, start, config, step.should_stop, report)
             result_files.write_background(out, background, whole, config.output)
+            write_background_color(out, color)
         for each in scene.notes[len(whole.notes) + 1 :]:
             step.progress(Event("object", each))
     with step("object", "choosing starting points anew"):

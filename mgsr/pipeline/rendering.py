@@ -11,7 +11,7 @@ from torch import Tensor
 
 from mgsr.config import Config, MeshColor, SurfaceDepth
 from mgsr.config.expert import MeshOptions
-from mgsr.data.backdrop import WHITE, Color
+from mgsr.data.backdrop import Color
 from mgsr.data.camera import Camera
 from mgsr.data.images import to_uint8
 from mgsr.data.masks import leave_borders_free, with_masks
@@ -84,7 +84,8 @@ def render_camera(
     images = _render_object(model, camera, depth, shading, name)
     if model.background is None:
         return images
-    behind = _numpy(render_gaussians(model.background, camera, torch.tensor(WHITE, device=model.device)).color)
+    color = torch.tensor(model.background_color, device=model.device)
+    behind = _numpy(render_gaussians(model.background, camera, color).color)
     return replace(images, whole=images.color + (1 - images.alpha[..., None]) * behind)
 
 

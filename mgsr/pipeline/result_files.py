@@ -37,6 +37,7 @@ from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.pipeline.atomic_write import atomic_write
+from mgsr.pipeline.object_files import read_background_color
 from mgsr.pipeline.rendering import RenderedView
 from mgsr.pipeline.result_paths import (
     BACKGROUND,
@@ -201,7 +202,8 @@ def read_models(out: Path, user_from_scene: Similarity) -> TrainedModel:
     environment_map = (
         _read_environment_map(out / ENVIRONMENT_MAP, user_from_scene) if (out / ENVIRONMENT_MAP).exists() else None
     )
-    return TrainedModel(surfels, gaussians, environment_map, read_background(out, user_from_scene))
+    background = read_background(out, user_from_scene)
+    return TrainedModel(surfels, gaussians, environment_map, background, read_background_color(out))
 
 
 def _stored(environment_map: EnvironmentMap, scene: Scene) -> StoredEnvironmentMap:

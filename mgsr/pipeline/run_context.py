@@ -12,6 +12,7 @@ from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.inspection.findings import Inspection
 from mgsr.pipeline import result_files
 from mgsr.pipeline.device import Device
+from mgsr.pipeline.object_files import read_background_color
 from mgsr.pipeline.progress import EventCallback, ignore
 from mgsr.pipeline.steps import Steps, StopCheck, never
 from mgsr.start.points import StartingPoints
@@ -53,4 +54,5 @@ class RunContext:
     def model(self, trained: TrainResult) -> TrainedModel:
         """Return the trained model on the device, with the background of a found object."""
         background = result_files.read_background(self.out, self.scene.user_from_scene)
-        return replace(trained.model, background=background).to(self.device.torch)
+        color = read_background_color(self.out)
+        return replace(trained.model, background=background, background_color=color).to(self.device.torch)

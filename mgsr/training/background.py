@@ -9,6 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from mgsr.config import Config, make_config
+from mgsr.data.backdrop import Color
 from mgsr.data.scene import Scene, View
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.start.points import StartingPoints
@@ -23,12 +24,14 @@ def train_background(
     config: Config,
     should_stop: Callable[[], bool] = lambda: False,
     progress: Callable[[float], None] = lambda done: None,
-) -> GaussianModel:
+) -> tuple[GaussianModel, Color]:
     """Train a 3D branch on what the photographs show outside the object's masks.
+
+    Returns the Gaussians, in the scene's frame, and the colour behind them, sRGB 0..1.
 
     scene: the whole scene, without masks. masks [H,W] uint8: the object's in the training views. start: points of the
     whole scene; those on the object are left out. config: of the run; this training is as long as the 2D branch's
-    warm-up. progress: receives the share of the work that is done, 0..1. The Gaussians lie in the scene's frame.
+    warm-up. progress: receives the share of the work that is done, 0..1.
 
     Raises Cancelled once should_stop returns True, and TrainingError if training fails.
     """
@@ -40,10 +43,10 @@ def train_background(
     plain = ["branches=gaussians", "reflection=off", "flash=off", "stop_rule=none"]
     settings = make_config(config.preset, seed=config.seed, overrides=[*plain, *stages])
     control = TrainingControl(lambda report: progress(report.done), should_stop)
-    training = Training(replace(scene, train=views, test=[]), start, settings, control)
-    model = training.run().model.gaussians
+    around = replace(scene, train=views, test=[])
+    model = Training(around, start, settings, control).run().model.gaussians
     assert model is not None
-    return model
+    return model, around.backdrop(settings.train.background).color
 
 
 def _without_object(view: View, mask: np.ndarray, margin: float) -> View:

@@ -24,13 +24,27 @@ def test_a_plain_backdrop_is_found(color: tuple[int, int, int]) -> None:
 
 def test_no_backdrop_where_the_borders_differ_or_nothing_stands_before_it() -> None:
     scene = before(GREY, noise=20)
-    assert scene.plain_backdrop is None and scene.backdrop(Background.AUTO) == Backdrop(WHITE)
+    assert scene.plain_backdrop is None and scene.backdrop(Background.AUTO) == Backdrop(scene.mean_color)
     half = before(GREY)
     for view in half.train:
         view.image[: view.image.shape[0] // 3] = 255
     assert half.plain_backdrop is None
     empty = [replace(view, image=np.full_like(view.image, 40)) for view in scene.train]
     assert replace(scene, train=empty).plain_backdrop is None
+
+
+def test_the_mean_colour_is_that_of_valid_pixels() -> None:
+    scene = before(GREY, noise=20)
+    mean = np.mean([view.image.astype(float).mean(axis=(0, 1)) for view in scene.train], axis=0) / 255
+    assert scene.mean_color == pytest.approx(mean, abs=0.02)
+    upper = np.zeros(scene.train[0].image.shape[:2], bool)
+    upper[: len(upper) // 2] = True
+    for view in scene.train:
+        view.image[:] = np.where(upper[..., None], np.array(GREY, np.uint8), 255)
+    half = [replace(view, valid_mask=upper) for view in scene.train]
+    assert replace(scene, train=half).mean_color == pytest.approx([value / 255 for value in GREY])
+    nothing = [replace(view, valid_mask=np.zeros_like(upper)) for view in scene.train]
+    assert replace(scene, train=nothing).mean_color == WHITE
 
 
 def test_the_scenes_options_decide() -> None:

@@ -111,10 +111,12 @@ def test_a_clipped_pixel_pulls_no_brighter_rendering(branch: str) -> None:
     shown = torch.full((SIZE, SIZE, 3), 0.7)
     shown[:4] = 0.5
     given = replace(target(masked=False), color=photo, clipped=clipped)
-    outputs = replace(surfels() if branch == "surfels" else gaussians(), color=shown.requires_grad_())
-    terms = surfel_terms if branch == "surfels" else gaussian_terms
-    term = of_images(terms(outputs, given, config)[f"{branch}.photo"])  # type: ignore[operator]
-    (gradient,) = torch.autograd.grad(scalar(term), outputs.color)
+    shown.requires_grad_()
+    if branch == "surfels":
+        terms = surfel_terms(replace(surfels(), color=shown), given, config)
+    else:
+        terms = gaussian_terms(replace(gaussians(), color=shown), given, config)
+    (gradient,) = torch.autograd.grad(scalar(of_images(terms[f"{branch}.photo"])), shown)
     assert (gradient[4:, 8:] == 0).all(), "brighter than the clipped photograph"
     assert (gradient[:4] < 0).all(), "darker, clipped or not"
     assert (gradient[4:, :8] > 0).all(), "brighter than an unclipped photograph"

@@ -376,7 +376,8 @@ def _trained(
 ) -> SurfelModel:
     """Train the 2D branch alone on the whole scene."""
     stages = [f"warmup.surfel_iterations={iterations}", "mutual.iterations=0", "stop_rule=none"]
-    config = make_config(seed=seed, overrides=["branches=surfels", *stages])
+    # Before the photographs' mean colour, surfaces of about that colour would need no surfels. Few surfaces are white.
+    config = make_config(seed=seed, overrides=["branches=surfels", "background=white", *stages])
     training = Training(scene, start, config, TrainingControl(lambda report: progress(report.done), should_stop))
     found = training.run().model.surfels
     assert found is not None

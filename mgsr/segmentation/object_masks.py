@@ -376,7 +376,7 @@ def _trained(
 ) -> SurfelModel:
     """Train the 2D branch alone on the whole scene."""
     stages = [f"warmup.surfel_iterations={iterations}", "mutual.iterations=0", "stop_rule=none"]
-    # Before the photographs' mean colour, surfaces of about that colour would need no surfels. Few surfaces are white.
+    # Before the photographs' mean colour, surfaces of about that colour would need no surfels.
     config = make_config(seed=seed, overrides=["branches=surfels", "background=white", *stages])
     training = Training(scene, start, config, TrainingControl(lambda report: progress(report.done), should_stop))
     found = training.run().model.surfels

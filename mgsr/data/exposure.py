@@ -59,10 +59,8 @@ def raised_where_clipped(view: View, rendered: np.ndarray) -> np.ndarray:
     Where the photograph is clipped and the rendering brighter, the result has the rendering's values, because the
     photograph tells only how bright the light was at least.
     """
-    image = view.image / 255
-    if view.white is None:
-        return image
-    return np.where(view.image >= view.white, np.maximum(image, rendered), image)
+    image, clipped = view.image / 255, view.clipped
+    return image if clipped is None else np.where(clipped, np.maximum(image, rendered), image)
 
 
 def brightness_jumps(views: Sequence[View], options: BrightnessOptions = BrightnessOptions()) -> float:

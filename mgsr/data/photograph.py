@@ -42,8 +42,8 @@ class Photograph:
         """Return the valid pixels that show the object alone and are not clipped, [H,W] bool."""
         view = self.view
         opaque: np.ndarray = view.image.max(axis=-1) <= self.clipped * 255
-        if view.white is not None:
-            opaque &= (view.image < view.white).all(axis=-1)
+        if (clipped := view.clipped) is not None:
+            opaque &= ~clipped.any(axis=-1)
         if view.alpha is not None:
             opaque &= view.alpha >= self.min_alpha * 255
         if view.valid_mask is not None:

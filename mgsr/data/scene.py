@@ -44,6 +44,11 @@ class View:
     irradiance: np.ndarray | None = None
     white: np.ndarray | None = None
 
+    @property
+    def clipped(self) -> np.ndarray | None:
+        """Return where a channel may be clipped, [H,W,3] bool; None where `white` is None."""
+        return None if self.white is None else self.image >= self.white
+
 
 @dataclass(frozen=True)
 class Similarity:
@@ -181,9 +186,7 @@ class Scene:
     def mean_color(self) -> Color:
         """Return the mean colour of the training photographs' valid pixels, sRGB 0..1; white without a valid pixel."""
         pixels = [
-            view.image[::4, ::4].reshape(-1, 3)
-            if view.valid_mask is None
-            else view.image[::4, ::4][view.valid_mask[::4, ::4]]
+            view.image[::4, ::4][... if view.valid_mask is None else view.valid_mask[::4, ::4]].reshape(-1, 3)
             for view in some_of(self.train)
         ]
         means = [part.mean(axis=0) / 255 for part in pixels if len(part)]

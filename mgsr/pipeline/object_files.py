@@ -46,7 +46,7 @@ def write_background_color(out: Path, color: Color) -> None:
 
 
 def read_background_color(out: Path) -> Color:
-    """Return the colour behind the background's Gaussians, sRGB 0..1; white without one."""
+    """Return the colour behind the background's Gaussians, sRGB 0..1; white where no object.json names it."""
     if not (out / OBJECT).is_file():
         return WHITE
     red, green, blue = json.loads((out / OBJECT).read_text()).get("background_color", WHITE)

@@ -170,9 +170,15 @@ def write_background(out: Path, model: GaussianModel, scene: Scene, output: Outp
     _write_model(out / BACKGROUND, model, scene, output)
 
 
-def read_background(out: Path, user_from_scene: Similarity) -> GaussianModel | None:
-    """Read the Gaussians around a found object, in the scene's frame; None if the run left none."""
-    return _read_gaussians(out / BACKGROUND, user_from_scene) if (out / BACKGROUND).exists() else None
+def with_background(out: Path, model: TrainedModel, user_from_scene: Similarity) -> TrainedModel:
+    """Add the Gaussians around a found object, and the colour behind them, to a model in the scene's frame.
+
+    The model is returned unchanged if the run left none in `out`.
+    """
+    if not (out / BACKGROUND).exists():
+        return model
+    background = _read_gaussians(out / BACKGROUND, user_from_scene)
+    return replace(model, background=background, background_color=read_background_color(out))
 
 
 def _read_gaussians(path: Path, user_from_scene: Similarity) -> GaussianModel:
@@ -202,8 +208,7 @@ def read_models(out: Path, user_from_scene: Similarity) -> TrainedModel:
     environment_map = (
         _read_environment_map(out / ENVIRONMENT_MAP, user_from_scene) if (out / ENVIRONMENT_MAP).exists() else None
     )
-    background = read_background(out, user_from_scene)
-    return TrainedModel(surfels, gaussians, environment_map, background, read_background_color(out))
+    return with_background(out, TrainedModel(surfels, gaussians, environment_map), user_from_scene)
 
 
 def _stored(environment_map: EnvironmentMap, scene: Scene) -> StoredEnvironmentMap:

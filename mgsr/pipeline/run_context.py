@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from mgsr.budget.budget import TimeBudget
@@ -12,7 +12,6 @@ from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.inspection.findings import Inspection
 from mgsr.pipeline import result_files
 from mgsr.pipeline.device import Device
-from mgsr.pipeline.object_files import read_background_color
 from mgsr.pipeline.progress import EventCallback, ignore
 from mgsr.pipeline.steps import Steps, StopCheck, never
 from mgsr.start.points import StartingPoints
@@ -53,6 +52,5 @@ class RunContext:
 
     def model(self, trained: TrainResult) -> TrainedModel:
         """Return the trained model on the device, with the background of a found object."""
-        background = result_files.read_background(self.out, self.scene.user_from_scene)
-        color = read_background_color(self.out)
-        return replace(trained.model, background=background, background_color=color).to(self.device.torch)
+        model = result_files.with_background(self.out, trained.model, self.scene.user_from_scene)
+        return model.to(self.device.torch)

@@ -160,6 +160,8 @@ def test_flanks_that_views_only_graze_come_from_the_start() -> None:
     assert missing(completed) < 0.01
     assert radial_error(completed).max() < 0.012
     assert topology(completed).boundary_edges > 10, "what no camera sees stays open"
+    supported = extract_mesh(views, config, start=start)
+    assert missing(supported) > 0.05, "what fewer than three cameras see of the start is cut away"
 
 
 def test_the_views_that_see_a_point_of_the_start() -> None:

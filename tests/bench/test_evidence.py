@@ -39,6 +39,7 @@ def test_the_committed_page_is_what_the_committed_results_give() -> None:
     assert evidence_page(read_evidence(RESULTS)) == (DOCS / PAGE).read_text(encoding="utf-8"), MAKE
 
 
+@pytest.mark.slow
 def test_the_committed_plots_are_what_the_committed_results_give(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="PLOTS NEED THE EXTRA bench")
     write_evidence(RESULTS, tmp_path)

@@ -20,6 +20,7 @@ from tests.shading.test_shape_from_shading import flash, photographs, rippled
 
 pytestmark = pytest.mark.usefixtures("quick_report")
 
+QUICK = [*SHORT, *("--set", "surfel_iterations=40", "--set", "gaussian_iterations=40", "--set", "mutual.iterations=30")]
 ASIDE = (0.2, -0.3)
 SCALE, OFFSET = 2.0, np.array([0.5, -1.0, 3.0])  # of the capture's frame
 
@@ -40,7 +41,7 @@ def capture(views: list[View], tmp_path_factory: pytest.TempPathFactory) -> Path
 @pytest.fixture(scope="module")
 def done(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "flash"
-    result = CliRunner().invoke(app, ["run", str(capture), "-o", str(out), *SHORT, "--set", "max_light_residual=none"])
+    result = CliRunner().invoke(app, ["run", str(capture), "-o", str(out), *QUICK, "--set", "max_light_residual=none"])
     assert result.exit_code == 0, result.output
     return out
 
@@ -98,6 +99,6 @@ def test_python_lights_as_the_run_did(capture: Path, done: Path) -> None:
 def test_without_it_splats_hold_what_photographs_show(capture: Path, done: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(done, out)
-    arguments = ["train", str(capture), "-o", str(out), *SHORT, "--set", "flash=off"]
+    arguments = ["train", str(capture), "-o", str(out), *QUICK, "--set", "flash=off"]
     assert CliRunner().invoke(app, arguments).exit_code == 0
     assert not (out / "flash.npz").exists()  # none of the earlier run

@@ -41,6 +41,7 @@ def test_few_photographs_are_compared_each_with_each(tmp_path: Path) -> None:
     assert exhaustive(150, frames=False) and not exhaustive(151, frames=False) and not exhaustive(51, frames=True)
 
 
+@pytest.mark.slow
 def test_many_photographs_without_order_are_compared_with_similar_ones(tmp_path: Path) -> None:
     random = np.random.default_rng(1)
     names = [f"{random.integers(1 << 60):015x}.jpg" for _ in range(160)]

@@ -106,7 +106,7 @@ STRONG = [
 
 
 @pytest.mark.parametrize("lens", STRONG)
-@pytest.mark.parametrize("focal", [25.0, 60.0])
+@pytest.mark.parametrize("focal", [25.0, pytest.param(60.0, marks=pytest.mark.slow)])
 def test_what_is_known_is_what_the_photograph_shows(lens: Lens, focal: float) -> None:
     """Check that exactly those pixels are known whose ray the photograph shows, and that they lie where they should.
 

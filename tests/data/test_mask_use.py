@@ -147,6 +147,7 @@ def test_skies_are_no_silhouettes(tmp_path: Path, top: float) -> None:
             load_scene(root, DataConfig())
 
 
+@pytest.mark.slow
 def test_a_lens_hood_is_no_silhouette(tmp_path: Path) -> None:
     y, x = np.mgrid[:SIDE, :SIDE] + 0.5
     hood = np.where(np.hypot(x - 32, y - 32) < 34, 255, 0).astype(np.uint8)

@@ -34,8 +34,18 @@ def test_masks_give_the_ball(tmp_path: Path, scale: float) -> None:
     assert np.linalg.norm(frame.offset - ball.center) + ball.radius * scale <= 1.01 * frame.scale
 
 
-@pytest.mark.parametrize("views", [8, 12, 20, 40])
-@pytest.mark.parametrize("focal", [60, 80, 105])
+@pytest.mark.parametrize(
+    ("focal", "views"),
+    [
+        *[(60, 8), (80, 12), (105, 20)],
+        *(
+            pytest.param(focal, views, marks=pytest.mark.slow)
+            for focal in (60, 80, 105)
+            for views in (8, 12, 20, 40)
+            if (focal, views) not in ((60, 8), (80, 12), (105, 20))
+        ),
+    ],
+)
 def test_masks_give_the_ball_however_large_it_is_in_the_images(tmp_path: Path, views: int, focal: int) -> None:
     """Check the ball against the hull of all masks, worked out point by point.
 
@@ -144,7 +154,10 @@ def test_round_trip_of_points_and_cameras(tmp_path: Path) -> None:
     np.testing.assert_allclose(inner.center, frame.to_scene(camera.center[None])[0], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["bunny_flash", "spot_soft", "teapot_hdr", "wingnut_dark"])
+@pytest.mark.parametrize(
+    "name",
+    ["bunny_flash", *(pytest.param(n, marks=pytest.mark.slow) for n in ("spot_soft", "teapot_hdr", "wingnut_dark"))],
+)
 @pytest.mark.parametrize("masks", list(Masks)[:2])
 def test_shared_scenes_lie_in_the_unit_ball(shared_data: Path, name: str, masks: Masks) -> None:
     root = shared_data / "scenes" / name

@@ -31,7 +31,9 @@ def written_out(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     crosses, middles = Mesh(vertices, faces).face_crosses, vertices[faces].mean(axis=1)
     areas, normals = np.linalg.norm(crosses, axis=1), unit(crosses)
     edge = np.mean([np.linalg.norm(vertices[face[i]] - vertices[face[i - 1]]) for face in faces for i in range(3)])
-    around = [[j for j, other in enumerate(faces) if set(face) & set(other)] for face in faces]
+    corners = [set(face) for face in faces.tolist()]
+    around = [[j for j, other in enumerate(corners) if face & other] for face in corners]
+    owned = [[j for j, face in enumerate(corners) if v in face] for v in range(len(vertices))]
     for _ in range(BilateralOptions().rounds):
         means = []
         for i, others in enumerate(around):
@@ -41,8 +43,7 @@ def written_out(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         normals = unit(np.array(means))
     for _ in range(BilateralOptions().steps):
         middles, moved = vertices[faces].mean(axis=1), vertices.copy()
-        for v in range(len(vertices)):
-            own = [j for j, face in enumerate(faces) if v in face]
+        for v, own in enumerate(owned):
             moved[v] += np.mean([normals[j] * (normals[j] @ (middles[j] - vertices[v])) for j in own], axis=0)
         vertices = moved
     return vertices

@@ -85,6 +85,7 @@ def test_the_large_shape_stays() -> None:
     assert moved.mean() < 0.05 * off_the_ball(wide)
 
 
+@pytest.mark.slow
 def test_creases_stay_while_waves_on_the_faces_beside_them_go() -> None:
     box = trimesh.creation.box((1, 1, 1))
     for _ in range(6):

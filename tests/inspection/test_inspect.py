@@ -74,12 +74,13 @@ def turned(view: View, axis: str, degrees: float) -> View:
     return replace(view, camera=replace(view.camera, cam_from_world=turn @ view.camera.cam_from_world))
 
 
-@pytest.mark.parametrize(("axis", "degrees"), [("x", 2), ("z", 4)])
+@pytest.mark.parametrize(("axis", "degrees"), [("x", 2), pytest.param("z", 4, marks=pytest.mark.slow)])
 def test_a_camera_turned_by_a_few_degrees(room: Room, axis: str, degrees: float) -> None:
     views = changed(room.views, {9}, lambda view: turned(view, axis, degrees))
     assert inspect_scene(room_scene(views)).contradictory == ("009",)
 
 
+@pytest.mark.slow
 def test_poses_of_other_photographs(room: Room) -> None:
     cameras = [view.camera for view in room.views]
     shuffled = [replace(view, camera=cameras[index * 5 % 28]) for index, view in enumerate(room.views)]
@@ -87,6 +88,7 @@ def test_poses_of_other_photographs(room: Room) -> None:
     assert finding.severity is Severity.ERROR and not finding.photographs
 
 
+@pytest.mark.slow
 def test_inaccurate_poses(room: Room) -> None:
     rng = np.random.default_rng(0)
     scene = room_scene([moved(view, rng.normal(0, 0.5), rng.normal(0, 0.03, 3)) for view in room.views])
@@ -130,6 +132,7 @@ def lit(view: View, factors: tuple[float, float]) -> View:
     return replace(view, image=to_uint8(255 * linear_to_srgb(np.clip(light, 0, 1))))
 
 
+@pytest.mark.slow
 def test_exposures_are_told_from_light_that_changes_parts_of_the_photographs(room: Room) -> None:
     rng = np.random.default_rng(3)
     changes = 0.6 * np.exp(rng.normal(0, 0.2, (len(room.views), 2)))
@@ -147,6 +150,7 @@ def test_a_dark_photograph_of_a_plain_object() -> None:
     assert found(room_scene(views))[Code.EXPOSURE_JUMPS].photographs == ("03",)
 
 
+@pytest.mark.slow
 def test_a_turntable_before_a_wall_that_stands_still(room: Room) -> None:
     wall = photograph(ring_camera(10, 20))[0]
 

@@ -15,6 +15,8 @@ from mgsr.shading.photo_set import PhotoSet
 from tests.mesh.shapes import ball, cameras_around, views_of
 from tests.shading.balls import RADIUS, mirror_photographs, painted_photographs
 
+CONFIG = MeshConfig(max_light_residual=None, poisson_depth=6)
+
 
 def surface(depth: float) -> Mesh:
     """Return the ball with dents of this depth."""
@@ -46,7 +48,7 @@ def test_a_torn_surface_gives_way_to_the_start(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(extract, "is_torn", lambda *surfaces: True)
     monkeypatch.setattr(extract, "photographs_prefer_start", lambda *surfaces: False)
     start = whole.moved(0.9 * whole.vertices)
-    mesh = extract_mesh(views, MeshConfig(max_light_residual=None), PhotoSet(painted_photographs(64)[:3]), start=start)
+    mesh = extract_mesh(views, CONFIG, PhotoSet(painted_photographs(64)[:3]), start=start)
     assert mesh.start_kept and len(mesh.faces) == len(whole.faces)
     assert abs(np.median(np.linalg.norm(mesh.vertices, axis=1)) - 0.9 * RADIUS) < 0.01
 
@@ -55,10 +57,10 @@ def test_a_likelier_start_is_what_is_finished(monkeypatch: pytest.MonkeyPatch) -
     views, smaller = views_of(ball(RADIUS), cameras_around(12, side=64)), surface(0.0)
     smaller = smaller.moved(0.9 * smaller.vertices)
     monkeypatch.setattr(extract, "is_torn", lambda *surfaces: False)
+    photos = PhotoSet(painted_photographs(64)[:3])
     for kept, radius in ((True, 0.9 * RADIUS), (False, RADIUS)):
         monkeypatch.setattr(extract, "photographs_prefer_start", lambda *surfaces, kept=kept: kept)
-        photos = PhotoSet(painted_photographs(64)[:3])
-        mesh = extract_mesh(views, MeshConfig(max_light_residual=None), photos, start=smaller)
+        mesh = extract_mesh(views, CONFIG, photos, start=smaller)
         assert mesh.start_kept is kept
         assert abs(np.median(np.linalg.norm(mesh.vertices, axis=1)) - radius) < 0.01
-    assert not extract_mesh(views, MeshConfig(max_light_residual=None)).start_kept
+    assert not extract_mesh(views, CONFIG).start_kept

@@ -155,6 +155,7 @@ def test_places_stay_where_they_are(offset: float) -> None:
     assert np.abs(np.linalg.norm(textured.vertices - [offset, 0, 0], axis=1) - 0.7).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_the_normal_map_brings_back_what_decimation_takes() -> None:
     """Check a ball with waves against its normals by calculus, with glTF's tangent space written out anew."""
     fine = trimesh.creation.icosphere(6, 1.0)

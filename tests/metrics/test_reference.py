@@ -29,6 +29,7 @@ def check(values: dict[str, float], names: dict[str, str], tolerance: float) -> 
         assert values[ours] == pytest.approx(GOLDEN[theirs], rel=tolerance), ours
 
 
+@pytest.mark.slow
 def test_surface(scene: Path) -> None:
     mesh = altered_mesh(scene)
     truth = load_truth(scene, [])

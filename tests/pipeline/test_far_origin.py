@@ -29,7 +29,7 @@ from mgsr.pipeline.result_files import read_models, with_irradiance, write_light
 from mgsr.pipeline.run import _draw
 from mgsr.shading.lighting import Lighting
 from tests.cli.spheres import SPHERES, held_out_camera, write_spheres
-from tests.cli.test_run import SHORT
+from tests.cli.test_run import SHORT, UNLIT
 from tests.export.test_flash import lighting
 from tests.mesh.shapes import looking_at_origin
 
@@ -67,7 +67,7 @@ def write_truth(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
 @pytest.fixture(scope="module")
 def done(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "far"
-    result = CliRunner().invoke(app, ["run", str(capture), "-o", str(out), *SHORT])
+    result = CliRunner().invoke(app, ["run", str(capture), "-o", str(out), *SHORT, *UNLIT])
     assert result.exit_code == 0, result.output
     return out
 
@@ -111,7 +111,7 @@ def test_later_commands_see_what_the_run_saw(capture: Path, done: Path, tmp_path
     shutil.copytree(done, tmp_path / "out")
     result = CliRunner().invoke(app, ["evaluate", str(capture), "-o", str(tmp_path / "out")])
     assert json.loads(result.output)["psnr_test"] == pytest.approx(report["psnr_test"], abs=0.01)
-    like_the_run = ["--preset", "draft", "--set", "poisson_depth=6"]
+    like_the_run = ["--preset", "draft", "--set", "poisson_depth=6", *UNLIT]
     result = CliRunner().invoke(app, ["mesh", str(capture), "-o", str(tmp_path / "out"), *like_the_run])
     assert result.exit_code == 0, result.output
     before, again = (trimesh.load_mesh(folder / "mesh.ply") for folder in (done, tmp_path / "out"))

@@ -27,6 +27,7 @@ from tests.segmentation.table_scene import TABLE, table_scene
 
 pytestmark = pytest.mark.usefixtures("quick_report")
 
+SIZE = 72  # of photographs, in pixels
 SHORT = [
     "warmup.surfel_iterations=100",
     "warmup.gaussian_iterations=30",
@@ -51,7 +52,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Provide the folder of a capture without masks."""
     folder = tmp_path_factory.mktemp("capture") / "table"
     folder.mkdir()
-    write_scene(folder, table_scene()[0], 1.0)
+    write_scene(folder, table_scene(SIZE)[0], 1.0)
     return folder
 
 
@@ -74,7 +75,7 @@ def test_the_object_alone_is_delivered(done: Path) -> None:
 
 def test_renders_have_a_background(done: Path, capture: Path) -> None:
     """Check the object before its background against the photograph, and against a background of one colour."""
-    scene, (_, truth) = load_scene(capture), table_scene()
+    scene, (_, truth) = load_scene(capture), table_scene(SIZE)
     plain = 255 * np.array(json.loads((done / "object.json").read_text())["background_color"])
     for view, mask in zip(scene.test, truth[len(scene.train) :], strict=True):
         shown = np.array(Image.open(done / "renders" / "test" / f"{view.name}_whole.png")).astype(float)
@@ -91,7 +92,7 @@ def test_renders_have_a_background(done: Path, capture: Path) -> None:
 
 
 def test_masks_and_box_are_written(done: Path, capture: Path) -> None:
-    scene, (_, truth) = load_scene(capture), table_scene()
+    scene, (_, truth) = load_scene(capture), table_scene(SIZE)
     for view, mask in zip(scene.train + scene.test, truth, strict=True):
         found = np.array(Image.open(done / "masks" / f"{view.name}.png")) > 127
         assert (found & mask).sum() > 0.8 * (found | mask).sum()
@@ -154,7 +155,7 @@ def test_another_run_takes_the_masks_over(capture: Path, tmp_path: Path, monkeyp
     monkeypatch.setattr(preprocess, "find_object", never)
     found = load_scene(capture)
     (tmp_path / "masks").mkdir()
-    for view, mask in zip(found.train + found.test, table_scene()[1], strict=True):
+    for view, mask in zip(found.train + found.test, table_scene(SIZE)[1], strict=True):
         Image.fromarray(255 * mask.astype(np.uint8)).save(tmp_path / "masks" / f"{view.name}.png")
     (tmp_path / "object.json").write_text(json.dumps({"ground": [0.0, 0.0, 1.0, -TABLE]}))
     steps = Steps(StepClock(), ignore, lambda: False)
@@ -179,7 +180,7 @@ def test_masks_that_are_gone_are_asked_for(done: Path, capture: Path, tmp_path: 
     scene = load_scene(capture)
     assert with_found_object(tmp_path, scene) is scene
     (tmp_path / "object.json").write_text("{}")
-    with pytest.raises(MgsrError, match=r"expected a mask of 96x96 pixels, got none"):
+    with pytest.raises(MgsrError, match=r"expected a mask of 72x72 pixels, got none"):
         with_found_object(tmp_path, scene)
 
 
@@ -195,7 +196,7 @@ def test_masks_of_a_person_are_not_replaced(capture: Path, tmp_path: Path) -> No
 def test_without_an_object_all_is_reconstructed(tmp_path: Path) -> None:
     folder, out = tmp_path / "two", tmp_path / "out"
     folder.mkdir()
-    write_scene(folder, table_scene(copies=2)[0], 1.0)
+    write_scene(folder, table_scene(SIZE, copies=2)[0], 1.0)
     run_scene(folder, out, make_config(overrides=[*SHORT, *FEW, "object=auto"]), "cpu")
     report = json.loads((out / "report.json").read_text())
     assert not report["input"]["masked"] and not (out / "masks").exists()

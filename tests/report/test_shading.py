@@ -29,6 +29,7 @@ def test_light_comes_from_above() -> None:
     assert picture[18, 32, :3].sum() > picture[46, 32, :3].sum() + 60
 
 
+@pytest.mark.slow
 def test_what_is_hidden_is_dark_without_grain(monkeypatch: pytest.MonkeyPatch) -> None:
     """Check that hidden parts of a ball on a plate are dark without grain.
 

@@ -55,7 +55,7 @@ def test_the_table_is_found_and_not_part_of_the_object(found: tuple[FoundObject,
 @pytest.mark.parametrize(
     ("iterations", "options", "reason"),
     [
-        (200, {"copies": 2}, "several objects"),
+        (200, {"copies": 2, "size": 64}, "several objects"),
         pytest.param(400, {"standing": False}, "no level surface|nothing stands|no contour", marks=pytest.mark.slow),
         pytest.param(
             400,

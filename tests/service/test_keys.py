@@ -10,7 +10,9 @@ from pathlib import Path
 
 import httpx
 import pytest
+from typer.testing import CliRunner, Result
 
+from program.__main__ import app
 from service.contract.settings import Settings
 from service.contract.store import Store
 from service.keys import Keys
@@ -26,11 +28,9 @@ def keyed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stack, str
         yield running, keys[0], keys[1]
 
 
-def program(home: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+def program(home: Path, *arguments: str) -> Result:
     """Run `mgsr` on a folder of its own."""
-    environment = os.environ | {"MGSR_HOME": str(home), "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "program", *arguments]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    return CliRunner().invoke(app, arguments, env={"MGSR_HOME": str(home)})
 
 
 def bearer(key: str) -> dict[str, str]:
@@ -93,12 +93,12 @@ def test_a_revoked_key_opens_nothing_and_leaves_nothing_open(tmp_path: Path) -> 
 
 def test_the_commands_of_keys(tmp_path: Path) -> None:
     made = program(tmp_path, "keys", "create", "anna")
-    assert made.returncode == 0 and made.stdout.startswith("mgsr_")
+    assert made.exit_code == 0 and made.stdout.startswith("mgsr_")
     listed = program(tmp_path, "keys", "list").stdout
     assert "anna" in listed and made.stdout.strip() not in listed
-    assert program(tmp_path, "keys", "revoke", listed.split()[0]).returncode == 0
+    assert program(tmp_path, "keys", "revoke", listed.split()[0]).exit_code == 0
     assert program(tmp_path, "keys", "list").stdout == ""
-    assert program(tmp_path, "keys", "revoke", "nobody").returncode == 2
+    assert program(tmp_path, "keys", "revoke", "nobody").exit_code == 2
 
 
 def test_without_keys_only_this_machine_is_served(stack: Stack) -> None:

@@ -141,12 +141,14 @@ def test_options_reach_the_fit() -> None:
     assert coarse.light is not None and coarse.light.shape == (8, 16, 3)
 
 
+@pytest.mark.slow
 def test_a_black_dielectric_is_no_metal() -> None:
     material = fit_gloss(photographed(0.3, False, np.ones(3), albedo=0.01))
     assert material.metallic == 0 and material.tint is None
     assert material.roughness == pytest.approx(0.3, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_metal_has_its_tint() -> None:
     tint = np.array([0.9, 0.6, 0.35])
     material = fit_gloss(photographed(0.4, True, tint))

@@ -139,6 +139,7 @@ def test_the_light_goes_along_into_another_frame() -> None:
     assert back.lamp == pytest.approx(LAMP) and back.right == pytest.approx(RIGHT)
 
 
+@pytest.mark.slow
 def test_what_photographs_tell_of_the_light_explains_them() -> None:
     """Check that photographs of two paints, divided by the light, are of two brightnesses again, highlights aside."""
     aside = (0.2, -0.3)

@@ -102,7 +102,9 @@ def error(vertices: np.ndarray) -> float:
     return float(np.abs(radii - true_radii(directions))[inside].mean() / PIXEL)
 
 
-@pytest.mark.parametrize(("shine", "noise", "share"), [(nothing, 0, 0.15), (one_lamp, 3, 0.3)])
+@pytest.mark.parametrize(
+    ("shine", "noise", "share"), [(nothing, 0, 0.15), pytest.param(one_lamp, 3, 0.3, marks=pytest.mark.slow)]
+)
 def test_a_dent_comes_out(shine: Shine, noise: float, share: float) -> None:
     truth, full = dented(), ball(RADIUS)
     views = photographs(truth, painted, shine, noise)
@@ -111,7 +113,7 @@ def test_a_dent_comes_out(shine: Shine, noise: float, share: float) -> None:
     assert error(found.vertices) < share * error(full.vertices)
 
 
-@pytest.mark.parametrize("shine", [nothing, many_lamps])
+@pytest.mark.parametrize("shine", [nothing, pytest.param(many_lamps, marks=pytest.mark.slow)])
 def test_hue_tells_where_brightness_does_not(shine: Shine) -> None:
     """Check that hue tells the surface where brightness is the same everywhere.
 
@@ -123,6 +125,7 @@ def test_hue_tells_where_brightness_does_not(shine: Shine) -> None:
     assert error(found.vertices) < 0.3 * error(full.vertices)
 
 
+@pytest.mark.slow
 def test_a_dent_comes_out_under_a_flash() -> None:
     """Check that a dent comes out under a flash, where its light is known.
 
@@ -159,6 +162,7 @@ def test_the_surface_of_a_capture_is_moved_where_outlines_hold_it() -> None:
     assert not [each for each in (without, in_haste) if "photometric_refinement" in each.steps]
 
 
+@pytest.mark.slow
 def test_a_start_has_the_dent() -> None:
     """Check that a start has the dent to a ninth of a pixel; the hull carved by colours alone has it to a sixth."""
     views = photographs(dented(), painted)
@@ -173,6 +177,7 @@ def test_what_is_true_stays() -> None:
     assert np.linalg.norm(found.vertices - truth.vertices, axis=1).mean() / PIXEL < 0.1
 
 
+@pytest.mark.slow
 def test_noise_without_paint_tells_nothing() -> None:
     full = ball(RADIUS)
     views = photographs(full, plain, noise=3)
@@ -180,6 +185,7 @@ def test_noise_without_paint_tells_nothing() -> None:
     assert np.linalg.norm(found.vertices - full.vertices, axis=1).mean() / PIXEL < 0.15
 
 
+@pytest.mark.slow
 def test_highlights_move_nothing_where_the_surroundings_are_known() -> None:
     """Check that highlights move nothing where the environment map is known.
 

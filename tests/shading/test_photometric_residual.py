@@ -72,12 +72,19 @@ def test_what_covers_a_hole_is_taken_out(past_the_hole: list[View]) -> None:
     assert HOLE - 0.1 < rim.min() < HOLE + 0.1
 
 
+@pytest.mark.slow
 def test_a_surface_without_holes_stays_whole() -> None:
     found, light, removed = refined(flash_photographs(ball(), patches), CONFIG)
     assert light.kind is LightKind.FLASH
     assert removed == 0 and len(found.faces) == len(ball().faces)
 
 
-@pytest.mark.parametrize("kept", [replace(CONFIG, photometric_residual=None), replace(CONFIG, close_holes=True)])
+@pytest.mark.parametrize(
+    "kept",
+    [
+        replace(CONFIG, photometric_residual=None),
+        pytest.param(replace(CONFIG, close_holes=True), marks=pytest.mark.slow),
+    ],
+)
 def test_all_is_kept_where_asked_for(past_the_hole: list[View], kept: MeshConfig) -> None:
     assert refined(past_the_hole, kept)[2] == 0

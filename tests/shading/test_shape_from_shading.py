@@ -150,7 +150,11 @@ def tilt_error(vertices: np.ndarray, truth: trimesh.Trimesh) -> float:
 
 @pytest.mark.parametrize(
     ("shade", "aside", "light"),
-    [(flash, (0, 0), LightKind.FLASH), (flash, (0.2, -0.3), LightKind.FLASH), (glossy, (0, 0), LightKind.ENVIRONMENT)],
+    [
+        pytest.param(flash, (0, 0), LightKind.FLASH, marks=pytest.mark.slow),
+        (flash, (0.2, -0.3), LightKind.FLASH),
+        (glossy, (0, 0), LightKind.ENVIRONMENT),
+    ],
 )
 def test_ripples_come_out(shade: Shade, aside: tuple[float, float], light: LightKind) -> None:
     truth, smooth = rippled(), ball(RADIUS)
@@ -163,6 +167,7 @@ def test_ripples_come_out(shade: Shade, aside: tuple[float, float], light: Light
     assert after < 0.9 * before
 
 
+@pytest.mark.slow
 def test_the_truth_stays_where_it_is_also_on_a_coarse_mesh() -> None:
     truth = rippled()
     refined, _ = refine(glossy, start=truth, work=ShadingPass(edge=6.0, rounds=4, reach=60.0))
@@ -170,6 +175,7 @@ def test_the_truth_stays_where_it_is_also_on_a_coarse_mesh() -> None:
     assert abs(((refined.vertices - truth.vertices) * outwards).sum(1).mean()) < 0.0003
 
 
+@pytest.mark.slow
 def test_the_truth_stays_where_it_is_though_tilted_varnish_mirrors_more() -> None:
     truth = rippled()
     refined, light = refine(varnished, start=truth, work=ShadingPass(edge=4.0, rounds=2, reach=240.0))
@@ -230,6 +236,7 @@ def test_tilted_normals_are_turned_back() -> None:
     np.testing.assert_allclose(kept.normals, tilted, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_true_normals_stay_within_a_fraction_of_the_fine_grid() -> None:
     """Check the error on the true ball: the coarse grid alone, with a parabola between its steps, errs by 0.11."""
     mesh = as_mesh(ball(RADIUS))
@@ -242,6 +249,7 @@ def test_true_normals_stay_within_a_fraction_of_the_fine_grid() -> None:
     assert np.average(errors, weights=found.confidence) < 0.075
 
 
+@pytest.mark.slow
 def test_what_no_tilt_explains_is_not_trusted() -> None:
     mesh = ball(RADIUS)
     true = as_mesh(mesh).double_normals

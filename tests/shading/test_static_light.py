@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import trimesh
 
 from mgsr.config.expert import StaticLightOptions
@@ -56,6 +57,7 @@ def test_a_bowl_lights_itself() -> None:
     np.testing.assert_allclose((sent / irradiance)[deep].mean(), albedo, rtol=0.04)
 
 
+@pytest.mark.slow
 def test_the_environment_is_nowhere_negative_and_lights_alike() -> None:
     """Check light from one side against the irradiance that the environment's cells give, summed up one by one."""
     mesh, albedo = ball_with_patches()

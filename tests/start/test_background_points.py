@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ def wall_color(places: np.ndarray) -> np.ndarray:
     return colors
 
 
+@cache
 def room(pattern: bool = True) -> list[View]:
     """Return views of the ball from all around it, in a round room with a pattern or a plain wall."""
     cameras = [view.camera for view in ball_scene(64, 60).train]
@@ -46,6 +48,7 @@ def test_a_wall_with_a_pattern_is_found() -> None:
     assert np.abs(points.colors / 255 - wall_color(points.positions)).mean() < 0.06
 
 
+@pytest.mark.slow
 def test_a_plain_wall_has_its_colour_somewhere_behind_the_cameras_reach() -> None:
     points = background_points(room(pattern=False), BALL)
     assert len(points) > 1500 and np.linalg.norm(points.positions, axis=1).min() >= 1.5

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
-from mgsr.data.scene import View
+from mgsr.data.scene import Scene, View
 from mgsr.start.point_exposures import exposure_gain, point_exposures
 from tests.data.test_exposure import exposed
 from tests.training.ball import RADIUS, ball_points, ball_scene
@@ -15,9 +16,14 @@ from tests.training.ball import RADIUS, ball_points, ball_scene
 POINTS = ball_points(4000, RADIUS)
 
 
+@cache
+def even_ball(gloss: float) -> Scene:
+    return ball_scene(96, train=20, test=4, gloss=gloss)
+
+
 def exposed_ball(gloss: float = 0.0) -> tuple[list[View], list[View], np.ndarray]:
     """Return training and test views of a ball, each under a factor of its own, and the factors [V,3]."""
-    scene = ball_scene(96, train=20, test=4, gloss=gloss)
+    scene = even_ball(gloss)
     draw = np.random.default_rng(2)
     factors = np.exp(draw.normal(-0.4, 0.3, (24, 1)) + draw.normal(0, 0.03, (24, 3)))
     factors[:20] /= np.exp(np.log(factors[:20]).mean(axis=0))
@@ -63,7 +69,7 @@ def test_too_few_points_tell_nothing() -> None:
 def test_the_gain_tells_whether_exposures_differ() -> None:
     """Check that the gain is large for varied exposures, and none for equal ones, with and without gloss."""
     for gloss in (0.0, 0.4):
-        even = ball_scene(96, train=20, test=4, gloss=gloss).train
+        even = even_ball(gloss).train
         equal = exposure_gain(even, POINTS.positions, POINTS.normals)
         varied = exposure_gain(exposed_ball(gloss)[0], POINTS.positions, POINTS.normals)
         assert equal is not None and equal < 0.1

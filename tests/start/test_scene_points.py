@@ -119,10 +119,9 @@ def with_a_plain_place(view: View, towards: np.ndarray, cosine: float) -> View:
 
 
 def test_what_has_no_contrast_shows_nothing() -> None:
-    views = [
-        replace(view, image=np.full_like(view.image, 90)) for view in unmasked(photographs(True, 0.0, CAMERAS[::6]))
-    ]
-    assert len(found_points(views).positions) == 0
+    views = unmasked(photographs(True, 0.0, cameras_around(10, side=96)))
+    even = [replace(view, image=np.full_like(view.image, 90)) for view in views]
+    assert len(found_points(even).positions) == 0
 
 
 def test_cameras_that_share_nothing_show_nothing(fewer: list[View]) -> None:

@@ -33,7 +33,7 @@ from tests.shading.balls import mirror_photographs, painted_photographs
 
 @pytest.fixture
 def ball_scene(tmp_path: Path) -> Scene:
-    return load_scene(BallCapture(views=40).write_plain(tmp_path), DataConfig())
+    return load_scene(BallCapture(views=24).write_plain(tmp_path), DataConfig())
 
 
 def test_hull_points_lie_on_the_ball(ball_scene: Scene) -> None:
@@ -42,7 +42,7 @@ def test_hull_points_lie_on_the_ball(ball_scene: Scene) -> None:
     assert points.source is StartSource.HULL
     user = ball_scene.user_from_scene.to_user(points.positions)
     radius = np.linalg.norm(user, axis=1)
-    # Pixels are 0.037 wide at the ball; the hull of 35 views sticks out of it by as much.
+    # Pixels are 0.037 wide at the ball; the hull of 21 views sticks out of it by as much.
     assert abs(np.median(radius) - 0.8) < 0.02 and radius.min() > 0.75 and radius.max() < 0.92
     np.testing.assert_allclose(np.linalg.norm(points.normals, axis=1), 1, atol=1e-6)
     assert ((points.normals * user).sum(axis=1) / radius).mean() > 0.95, "normals point outwards"
@@ -69,7 +69,7 @@ def test_without_masks_or_points_a_ball(tmp_path: Path) -> None:
 @pytest.mark.parametrize("masks", [Masks.AUTO, Masks.OFF])
 def test_the_share_of_the_work_that_is_done(tmp_path: Path, masks: Masks) -> None:
     """Check that progress is told on the way of both the hull and stereo, and never falls."""
-    scene = load_scene(BallCapture(views=12).write_plain(tmp_path), DataConfig(masks=masks))
+    scene = load_scene(BallCapture(views=8).write_plain(tmp_path), DataConfig(masks=masks))
     reported: list[float] = []
     starting_points(scene, 500, seed=0, progress=reported.append)
     assert len(reported) >= 2 and reported == sorted(reported) and 0 < reported[0] < 1 and reported[-1] <= 1
@@ -103,10 +103,10 @@ def test_with_masks_the_surface_that_stereo_finds_comes_before_own_points(ball_s
 
 def test_coarse_to_fine_is_the_same_as_carving_all_voxels(ball_scene: Scene) -> None:
     silhouettes = view_silhouettes(ball_scene.train, 400)
-    fine = carve(silhouettes, np.zeros(3), 1.05, 64)
-    corner = fine.origin + np.stack(np.meshgrid(*[np.arange(64)] * 3, indexing="ij"), -1).reshape(-1, 3) * fine.voxel
+    fine = carve(silhouettes, np.zeros(3), 1.05, 48)
+    corner = fine.origin + np.stack(np.meshgrid(*[np.arange(48)] * 3, indexing="ij"), -1).reshape(-1, 3) * fine.voxel
     values, judged = signed_field(silhouettes, corner)
-    exact = np.where(judged, values, -fine.voxel).reshape(64, 64, 64)
+    exact = np.where(judged, values, -fine.voxel).reshape(48, 48, 48)
     np.testing.assert_array_equal(fine.field > 0, exact > 0)
     near = np.abs(exact) < 1.2 * fine.voxel
     np.testing.assert_allclose(fine.field[near], exact[near], atol=1e-6)
@@ -198,7 +198,7 @@ def test_where_stereo_leaves_nothing_the_hull_stays(ball_scene: Scene, monkeypat
 @pytest.mark.usefixtures("neither_bent_nor_moved")
 def test_what_mirrors_nothing_is_carved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Check that a painted ball is carved: a mirrored environment explains little of it, wherever its surface is."""
-    views = painted_photographs(128)
+    views = painted_photographs(96)
     scene = Scene("painted", Path(), "made here", views, [], None, Similarity(1.0, np.zeros(3)))
     monkeypatch.setattr(masked_surface, "match_views", nothing_found)
     for name in ("fuse_roughly", "fuse"):

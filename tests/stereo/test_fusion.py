@@ -144,6 +144,7 @@ def test_wild_depths_hardly_matter(ball: trimesh.Trimesh, hull: Hull) -> None:
     assert np.percentile(forth, 90) < 0.6 and np.percentile(back, 97) < 0.6 and back.max() < 1.2
 
 
+@pytest.mark.slow
 def test_heavier_words_count_more(ball: trimesh.Trimesh, hull: Hull) -> None:
     """Check that the heavier of two maps counts more.
 
@@ -161,6 +162,7 @@ def test_heavier_words_count_more(ball: trimesh.Trimesh, hull: Hull) -> None:
     assert np.median(right) < 0.3 and np.median(wrong) > 0.8
 
 
+@pytest.mark.slow
 def test_what_many_see_before_it_is_solid(ball: trimesh.Trimesh, hull: Hull) -> None:
     """Check that the ball stays solid where each camera has a right map, and a faint one that looks into its middle."""
     maps, through = perfect(ball)[::2], perfect(ball, lambda depths: depths + 0.6)[::2]

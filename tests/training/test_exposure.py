@@ -48,6 +48,7 @@ def test_the_factors_are_found(masked: bool) -> None:
     assert jumps[2] > 0.25 and jumps[1] < jumps[0] + 0.06
 
 
+@pytest.mark.slow
 def test_light_that_moves_with_the_camera_is_no_exposure() -> None:
     expert = make_config(overrides=["exposure.min_jump=0"]).expert
     for gloss in (0.0, 0.6):

@@ -33,7 +33,7 @@ def truth() -> Scene:
     return ball_scene(size=64, train=24, gloss=0.8)
 
 
-@pytest.mark.parametrize("color", [(255, 255, 255), (90, 120, 60)])
+@pytest.mark.parametrize("color", [(255, 255, 255), pytest.param((90, 120, 60), marks=pytest.mark.slow)])
 def test_what_splats_come_to_cover_is_the_object(truth: Scene, color: tuple[int, int, int]) -> None:
     """Check that what splats come to cover is the object.
 
@@ -48,6 +48,7 @@ def test_what_splats_come_to_cover_is_the_object(truth: Scene, color: tuple[int,
     )
 
 
+@pytest.mark.slow
 def test_paint_of_the_backdrops_colour_makes_no_hole(truth: Scene) -> None:
     """Check that a white disk painted around the ball's pole makes no hole.
 

@@ -46,6 +46,7 @@ def test_a_matte_ball_ends_without_reflection() -> None:
     assert list(result.tried) == ["off", "shared"]
 
 
+@pytest.mark.slow
 def test_colours_that_do_not_change_with_the_direction_need_no_harmonics() -> None:
     result = trained(0.0)
     assert list(result.degrees) == [1, 0]

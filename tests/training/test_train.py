@@ -53,7 +53,7 @@ def test_each_method_runs_its_stages(method: str, names: list[str]) -> None:
     assert not any(tensor.requires_grad for tensor in tensors(result).values())
 
 
-@pytest.mark.parametrize("masked", [True, False])
+@pytest.mark.parametrize("masked", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_training_finds_the_ball(masked: bool) -> None:
     """Check that 300 iterations each, from a ball a fifth too large, bring renders near the views.
 
@@ -93,10 +93,10 @@ def test_same_seed_same_bytes() -> None:
     ("rule", "reflection"),
     [
         ("none", "both"),
-        ("epoch", "both"),
-        ("validation", "both"),
-        ("paper", "both"),
-        ("none", "auto"),
+        pytest.param("epoch", "both", marks=pytest.mark.slow),
+        pytest.param("validation", "both", marks=pytest.mark.slow),
+        pytest.param("paper", "both", marks=pytest.mark.slow),
+        pytest.param("none", "auto", marks=pytest.mark.slow),
         ("validation", "auto"),
     ],
 )
@@ -198,6 +198,7 @@ def test_checkpoints_also_come_by_the_clock(tmp_path: Path) -> None:
     assert seen[1]  # in the first stage, long before the first 1000 iterations
 
 
+@pytest.mark.slow
 def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
     scene = ball_scene(32, train=10, test=4, gloss=0.6)
     lengths = ["surfel_iterations=100", "gaussian_iterations=250", "mutual.iterations=100", "curve_views=4"]
@@ -215,6 +216,7 @@ def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
     assert held[:, middle, middle].mean() > 5 * still.mean()
 
 
+@pytest.mark.slow
 def test_the_finished_mesh_mirrors_the_light_in_the_end() -> None:
     scene = ball_scene(32, train=10, test=4, gloss=0.6)
     lengths = ["surfel_iterations=100", "gaussian_iterations=250", "mutual.iterations=100", "curve_views=4"]

@@ -170,6 +170,7 @@ def test_a_part_that_is_cut_off_keeps_what_it_measured(tmp_path: Path, balls: Pa
     assert (folder / "splats.zip").stat().st_size > 1000 and not (folder / "splats_unfinished.zip").exists()
 
 
+@pytest.mark.slow
 def test_the_gpus_tests_need_none_of_the_libraries_that_a_bare_machine_lacks(tmp_path: Path) -> None:
     lacking = ("open3d", "trimesh", "OpenImageIO", "pycolmap", "redis", "rq")
     (tmp_path / "lacking.py").write_text(f"import sys\nsys.modules.update(dict.fromkeys({lacking}))\n")

@@ -30,6 +30,7 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.pipeline.evaluation import find_truth
 from mgsr.shading.light_estimate import LightEstimate
+from mgsr.shading.photo_set import PhotoSet
 from mgsr.start import masked_surface
 from mgsr.start.masked_surface import find_surface
 from mgsr.stereo.patch_match import DepthMap, match_views
@@ -88,6 +89,7 @@ def measured(path: Path) -> list[PartRow]:
     scene = load_scene(path, make_config("standard").data)
     silhouettes, truth, rows = view_silhouettes(scene.train, StartConfig().mask_side), find_truth(scene), []
     hull = carve(silhouettes, np.zeros(3), 1.05, StartConfig().resolution)
+    photos = PhotoSet.of_scene(scene, silhouettes)
 
     maps: dict[int, list[DepthMap]] = {}
 
@@ -100,9 +102,9 @@ def measured(path: Path) -> list[PartRow]:
     for without, part in {ALL: Part(), **PARTS}.items():
         with patch.multiple(masked_surface, match_views=once, **part.replaced):
             if without == ALL:
-                find_surface(scene.train, silhouettes, hull, 0)  # makes stereo's maps
+                find_surface(photos, hull, 0)  # makes stereo's maps
             began = time.process_time()
-            surface = find_surface(scene.train, silhouettes, hull, 0, expert=part.options())
+            surface = find_surface(photos, hull, 0, expert=part.options())
             seconds = time.process_time() - began
         scores = scores_of(surface.mesh, scene, truth)
         rows.append(

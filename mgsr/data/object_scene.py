@@ -45,7 +45,7 @@ def with_object(
         points=points,
         user_from_scene=frame,
         ground=ground,
-        mask_dissent=int(options.mask_dissent * len(views)),
+        masks_found=True,
         notes=(*scene.notes, *odd),
     )
 

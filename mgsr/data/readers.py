@@ -132,7 +132,7 @@ def load_capture(
         read_with=config,
         options=options,
         ground=ground,
-        mask_dissent=0 if place is None or not silhouettes else int(options.mask_dissent * len(train_views)),
+        masks_found=place is not None and bool(silhouettes),
         object_place=place,
     )
 

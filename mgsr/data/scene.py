@@ -146,7 +146,7 @@ class Scene:
 
     ground [4]: the plane on which a found object stands, None if it is unknown. It holds the points x with
     ground[:3] . x + ground[3] = 0; its unit normal points up.
-    mask_dissent: the number of training views whose masks may exclude a point of a found object; 0 for other masks.
+    masks_found: whether the masks are those of a found object, which err in places and along their contours.
     object_place: the object's place according to the capture, None if the capture gives none.
     """
 
@@ -165,13 +165,18 @@ class Scene:
     read_with: DataConfig = field(default_factory=DataConfig)
     options: DataOptions = field(default_factory=DataOptions)
     ground: np.ndarray | None = None
-    mask_dissent: int = 0
+    masks_found: bool = False
     object_place: ObjectPlace | None = None
 
     @property
     def masked(self) -> bool:
         """Return whether every training view has a mask."""
         return all(view.alpha is not None for view in self.train)
+
+    @property
+    def mask_dissent(self) -> int:
+        """Return the number of training views whose masks may exclude a point of the object; 0 for given masks."""
+        return int(self.options.mask_dissent * len(self.train)) if self.masks_found else 0
 
     @cached_property
     def plain_backdrop(self) -> Color | None:

@@ -39,8 +39,7 @@ def make_mesh(
     views = surface_views(model, scene, config)
     masked = masked_scene(model, scene, config)
     silhouettes = scene_silhouettes(masked, config.expert.mesh.mask_side)
-    observations = config.expert.shading.observations
-    photos = PhotoSet(masked.train, silhouettes, options=observations, dissent=scene.mask_dissent)
+    photos = PhotoSet.of_scene(masked, silhouettes, config.expert.shading.observations)
     mesh = extract_mesh(views, config.mesh, photos, go_on, start, ground=scene.ground, expert=config.expert)
     return mesh.in_frame(scene.user_from_scene.to_user(mesh.vertices))
 

@@ -120,6 +120,7 @@ def scene_facts(scene: Scene, unit: float = 1.0) -> InputFacts:
         exposures=None if scene.exposures is None else round(scene.exposures.largest_difference, 3),
         notes=notes or None,
         warning=scene.warning,
+        masks_found=scene.masks_found or None,
     )
 
 

@@ -91,7 +91,8 @@ class InputFacts:
     image_size: width and height of the first training view. points: the number of points in the capture. splats_origin
     [3]: the origin of positions in splat files, if the frame's own origin is far away. shown: the share of valid pixels
     in the training images, if it is not 1. backdrop [3]: the colour, sRGB 0..1, of a plain backdrop in photographs
-    without masks. exposures: the ratio of the brightest exposure to the darkest.
+    without masks. exposures: the ratio of the brightest exposure to the darkest. masks_found: True if the masks are
+    those of an object that was found in the photographs.
     """
 
     path: str
@@ -110,6 +111,7 @@ class InputFacts:
     warning: str | None = None
     flash: FlashFacts | None = None
     starting_points: StartFacts | None = None
+    masks_found: bool | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields that apply, by name, as plain types."""

@@ -109,9 +109,13 @@ def _about_input(data: ReportData) -> Iterator[Decision]:
     given = data.input
     if given is None:
         return
-    yes = "Every training photograph has a mask. Everything outside is background."
-    no = "The splats explain the whole of each photograph."
-    yield Decision("Masks", "used" if given.masked else "not used", yes if given.masked else no)
+    if given.masks_found:
+        why = "One object stands out in the photographs. Everything around it is background."
+        yield Decision("Masks", "found", why)
+    elif given.masked:
+        yield Decision("Masks", "used", "Every training photograph has a mask. Everything outside is background.")
+    else:
+        yield Decision("Masks", "not used", "The splats explain the whole of each photograph.")
     count = f"{len(given.train_views)} for training, {len(given.test_views)} held out"
     yield Decision("Views", count, "Figures named “test” come from photographs that training never saw.")
     if given.shown is not None and given.shown < 0.995:
@@ -222,6 +226,8 @@ def _about_photometric_refinement(data: ReportData) -> Decision:
     given = data.input
     if given is None or (not given.masked and _plain_backdrop(data, given) is None):
         return Decision(what, "not used", "It needs silhouettes, from masks or a plain backdrop, to hold the surface.")
+    if given.masks_found:
+        return Decision(what, "not used", "The contours of found masks are too inaccurate to hold the surface.")
     return Decision(what, "not used", "The setting photometric_reach or the time budget turns it off.")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from mgsr.config.expert import ObservationOptions
 from mgsr.data.camera import pixel_size
 from mgsr.data.photograph import Photograph
-from mgsr.data.scene import View, some_of
+from mgsr.data.scene import Scene, View, some_of
 from mgsr.data.silhouettes import Silhouette
 from mgsr.geometry.contours import SilhouetteContour, find_contour
 from mgsr.geometry.decimate import coarser
@@ -25,6 +25,7 @@ class PhotoSet:
 
     views: the training views. silhouettes: of their masks, at any size; empty without masks. threads: the cores to use;
     None: all. options: of the observations. dissent: the number of silhouettes that may exclude a part of the object.
+    masks_found: whether the masks are those of a found object, whose contours are less accurate than given ones.
     """
 
     views: Sequence[View] = ()
@@ -32,6 +33,14 @@ class PhotoSet:
     threads: int | None = None
     options: ObservationOptions = ObservationOptions()
     dissent: int = 0
+    masks_found: bool = False
+
+    @classmethod
+    def of_scene(
+        cls, scene: Scene, silhouettes: Sequence[Silhouette], options: ObservationOptions = ObservationOptions()
+    ) -> PhotoSet:
+        """Return the training photographs of a scene. silhouettes: of their masks, at any size."""
+        return cls(scene.train, silhouettes, None, options, scene.mask_dissent, scene.masks_found)
 
     @cached_property
     def photographs(self) -> list[Photograph]:

@@ -55,6 +55,7 @@ def refine_photometrically(
     mix = choose_mix(ObservedMesh(start, pixel, options.details), few, light, photos.threads)
     mixes = mix_channels(some_of(photos.photographs), mix, photos.threads, options.details)
     coarse = coarser(start, options.coarse_edge * pixel, options.max_faces)
+    precision = options.found_contour_precision if photos.masks_found else options.contour_precision
     plate = _plate(start.vertices, coarse, reach * pixel)
     moved = start
     for _ in range(options.rounds):
@@ -63,7 +64,7 @@ def refine_photometrically(
         surface = ObservedMesh(moved, pixel, options.details)
         target, weights = _registered(read_details(surface, mixes, light, photos.threads), surface, options)
         gaps, touched = contour_gaps(moved.with_normals(moved.double_normals), photos.contours, options.contours)
-        held = np.minimum(touched, 1) * (options.precision / options.contour_precision) ** 2
+        held = np.minimum(touched, 1) * (options.precision / precision) ** 2
         total = weights + held + options.prior_weight
         moves = np.clip(plate((weights * target + held * gaps / pixel) / total, total), -options.limit, options.limit)
         moved = moved.moved(moved.vertices + pixel * moves[:, None] * moved.double_normals)

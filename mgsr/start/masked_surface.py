@@ -17,8 +17,6 @@ from mgsr.config import ExpertConfig
 from mgsr.config.expert import FirstSurfaceOptions, ShadingPass
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.hull import Hull, hull_surface
-from mgsr.data.scene import View
-from mgsr.data.silhouettes import Silhouette
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
@@ -50,8 +48,7 @@ class MaskedSurface:
 
 
 def find_surface(
-    views: Sequence[View],
-    silhouettes: Sequence[Silhouette],
+    photos: PhotoSet,
     hull: Hull,
     seed: int,
     progress: Callable[[float], None] = lambda done: None,
@@ -59,11 +56,11 @@ def find_surface(
 ) -> MaskedSurface:
     """Find the surface of the masked object inside its visual hull. The same seed gives the same surface.
 
-    progress: receives the share of the work that is done, 0..1. expert: the options of all algorithms.
+    photos: the training photographs and their silhouettes. progress: receives the share of the work that is done, 0..1.
+    expert: the options of all algorithms.
 
     Raises SceneError if the hull is empty.
     """
-    photos = PhotoSet(views, silhouettes, options=expert.shading.observations)
     passes, last = _far_passes(expert.start.surface), _near_passes(expert.start.surface)
     mesh = _hull_or_stereo_surface(photos, hull, seed, progress, expert)
     progress(FUSED)

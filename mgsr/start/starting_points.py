@@ -15,6 +15,7 @@ from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, view_silhouettes
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.light_estimate import LightKind
+from mgsr.shading.photo_set import PhotoSet
 from mgsr.start.background_points import background_points
 from mgsr.start.masked_surface import find_surface
 from mgsr.start.points import StartingPoints, StartSource
@@ -75,7 +76,7 @@ def hull_points(
     resolution: voxels along a side of the grid. Raises SceneError if the hull is empty.
     """
     silhouettes = view_silhouettes(scene.train, options.mask_side)
-    mesh = Mesh(*hull_surface(carve(silhouettes, np.zeros(3), options.carved, resolution)))
+    mesh = Mesh(*hull_surface(carve(silhouettes, np.zeros(3), options.carved, resolution, scene.mask_dissent)))
     positions, normals = _sample(mesh, count, np.random.default_rng(seed))
     return _seen_on_hull(scene.train, positions, normals, resolution, options)
 
@@ -130,10 +131,11 @@ def _surface_points(
     side = max(max(silhouette.distance.shape) for silhouette in silhouettes)
     resolution, options = expert.start.resolution, expert.start
     resolution = resolution if side >= resolution else resolution // 2  # small images have no finer detail
-    hull = carve(silhouettes, np.zeros(3), options.carved, resolution)
+    hull = carve(silhouettes, np.zeros(3), options.carved, resolution, scene.mask_dissent)
     if scene.ground is not None:
         hull = cut_at(hull, scene.ground)
-    found = find_surface(scene.train, silhouettes, hull, seed, progress, expert)
+    photos = PhotoSet.of_scene(scene, silhouettes, expert.shading.observations)
+    found = find_surface(photos, hull, seed, progress, expert)
     positions, normals = _sample(found.mesh, count, generator)
     shiny = found.light is not LightKind.UNKNOWN
     return replace(

@@ -23,4 +23,6 @@ class FitContours(MeshStep):
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
         smoothing = context.config.silhouette_smoothing or 0.0
+        if context.photos.masks_found:
+            smoothing *= self.options.found_smoothing
         return StepResult(fit_contours(mesh, context.photos.contours, smoothing, self.options), light)

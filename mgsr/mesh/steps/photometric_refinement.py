@@ -20,7 +20,8 @@ FLASH_TURN, ONLY_TURN = 22.0, 13.0
 class PhotometricRefinement(MeshStep):
     """Move the surface to where the photographs agree, after the shape from shading of the same turn.
 
-    It needs masks, because their contours keep the surface in place.
+    It needs masks, because their contours keep the surface in place. Contours of a found object's masks are too
+    inaccurate.
     """
 
     refines = True
@@ -32,12 +33,13 @@ class PhotometricRefinement(MeshStep):
         return "photometric_refinement" if self.turn == 1 else f"photometric_refinement_{self.turn}"
 
     def applies(self, context: StepContext, light: LightEstimate) -> bool:
-        wanted = context.config.photometric_reach is not None and bool(context.photos.silhouettes)
+        photos = context.photos
+        wanted = context.config.photometric_reach is not None and bool(photos.silhouettes) and not photos.masks_found
         return light.searches == self.turn and wanted and context.go_on()
 
     def cost(self, factors: CostFactors, config: MeshConfig) -> float:
-        held = (factors.masked or factors.learned) and config.photometric_reach is not None
-        if config.max_light_residual is None or not held:
+        held = (factors.masked and not factors.searched) or factors.learned
+        if config.max_light_residual is None or config.photometric_reach is None or not held:
             return 0.0
         if factors.flash:
             return FLASH_TURN * reading_size(factors, config)

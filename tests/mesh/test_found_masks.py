@@ -1,0 +1,51 @@
+"""Masks of a found object, whose contours are less accurate than those of given masks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from mgsr.config import MeshConfig
+from mgsr.data.silhouettes import Silhouette
+from mgsr.mesh.steps.fit_contours import FitContours
+from mgsr.mesh.steps.photometric_refinement import PhotometricRefinement
+from mgsr.mesh.steps.step import StepContext
+from mgsr.shading.light_estimate import LightEstimate
+from mgsr.shading.photo_set import PhotoSet
+from tests.geometry.test_contours import RADIUS, covered
+from tests.mesh.shapes import as_mesh, ball
+
+
+def inaccurate(silhouettes: list[Silhouette]) -> list[Silhouette]:
+    """Return silhouettes whose contours err by a third of a pixel, alike over about two pixels."""
+    draw, found = np.random.default_rng(0), []
+    for one in silhouettes:
+        noise = ndimage.gaussian_filter(draw.standard_normal(one.distance.shape), 2.0)
+        found.append(replace(one, distance=one.distance + 0.33 * noise / noise.std()))
+    return found
+
+
+def context_of(silhouettes: list[Silhouette], found: bool) -> StepContext:
+    photos = PhotoSet([], silhouettes, masks_found=found)
+    return StepContext([], photos, MeshConfig(), 0.02, None, lambda: True)
+
+
+def test_contours_of_found_masks_leave_fewer_bumps() -> None:
+    """Check the normals of a ball that is fitted to inaccurate contours; the ball gives its true normals."""
+    silhouettes, start = inaccurate(covered(RADIUS)), as_mesh(ball(RADIUS - 0.01))
+    errors = {}
+    for found in (False, True):
+        mesh = FitContours().run(start, LightEstimate(), context_of(silhouettes, found)).mesh
+        radii = np.linalg.norm(mesh.vertices, axis=1)
+        cosines = (mesh.normals * mesh.vertices).sum(axis=1) / radii
+        errors[found] = np.degrees(np.arccos(np.clip(cosines, -1, 1))).mean(), np.abs(radii - RADIUS).mean()
+    assert errors[True][0] < 0.7 * errors[False][0]
+    assert errors[True][1] < errors[False][1] < 0.01
+
+
+def test_found_masks_do_not_hold_the_surface_for_photometric_refinement() -> None:
+    silhouettes, light = covered(RADIUS, 3), LightEstimate(searches=1)
+    assert PhotometricRefinement().applies(context_of(silhouettes, False), light)
+    assert not PhotometricRefinement().applies(context_of(silhouettes, True), light)

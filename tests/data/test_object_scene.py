@@ -27,7 +27,7 @@ def test_the_frame_is_that_of_the_capture_with_masks(folder: Path) -> None:
     assert not bare.masked and bare.user_from_scene.scale != pytest.approx(masked.user_from_scene.scale, rel=1e-3)
     train, test = ([present(view.alpha) for view in views] for views in (masked.train, masked.test))
     found = with_object(bare, train, test)
-    assert found.masked and not masked.mask_dissent
+    assert found.masks_found and not masked.masks_found and not masked.mask_dissent
     assert found.user_from_scene.scale == pytest.approx(masked.user_from_scene.scale)
     np.testing.assert_allclose(found.user_from_scene.offset, masked.user_from_scene.offset, atol=1e-9)
     for one, other in zip(found.train + found.test, masked.train + masked.test, strict=True):

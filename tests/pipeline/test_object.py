@@ -70,7 +70,7 @@ def test_the_object_alone_is_delivered(done: Path) -> None:
     low, high = trimesh.load_mesh(done / "mesh.ply", process=False).bounds
     assert (np.abs(np.stack([low, high])[:, :2]) < 0.55).all() and low[2] > TABLE - 0.06 and high[2] < 0.75
     report = json.loads((done / "report.json").read_text())
-    assert report["input"]["masked"] and any("the object was found" in note for note in report["input"]["notes"])
+    assert report["input"]["masks_found"] and any("the object was found" in note for note in report["input"]["notes"])
 
 
 def test_renders_have_a_background(done: Path, capture: Path) -> None:

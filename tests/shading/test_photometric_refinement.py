@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 from mgsr.config import MeshConfig
+from mgsr.config.expert import PhotometricOptions
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.data.scene import Scene, Similarity, View
 from mgsr.geometry.raycast import pixel_rays
@@ -175,6 +176,17 @@ def test_what_is_true_stays() -> None:
     views = photographs(truth, painted)
     found = refine_photometrically(as_mesh(truth), photos_of(truth, views), 6.0)
     assert np.linalg.norm(found.vertices - truth.vertices, axis=1).mean() / PIXEL < 0.1
+
+
+def test_contours_of_found_masks_pull_less_on_what_is_true() -> None:
+    truth = dented()
+    given = photos_of(truth, photographs(truth, painted))
+    wide = replace(given, silhouettes=[replace(one, distance=one.distance + 0.5) for one in given.silhouettes])
+    found = replace(wide, masks_found=True)
+    options = PhotometricOptions(rounds=2)
+    meshes = [refine_photometrically(as_mesh(truth), photos, 6.0, options=options) for photos in (wide, found)]
+    moves = [np.linalg.norm(mesh.vertices - truth.vertices, axis=1).mean() for mesh in meshes]
+    assert moves[1] < 0.7 * moves[0]
 
 
 @pytest.mark.slow

@@ -24,10 +24,11 @@ from mgsr.shading.environment_residual import EnvironmentResidual, environment_r
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.start import masked_surface
 from mgsr.start.points import StartSource
-from mgsr.start.starting_points import starting_points
+from mgsr.start.starting_points import hull_points, starting_points
 from mgsr.stereo.patch_match import DepthMap
 from mgsr.stereo.photographs import StereoPhotographs
 from tests.data.captures import BallCapture
+from tests.optional import present
 from tests.shading.balls import mirror_photographs, painted_photographs
 
 
@@ -55,6 +56,21 @@ def test_the_seed_decides(ball_scene: Scene) -> None:
     np.testing.assert_array_equal(first.positions, again.positions)
     np.testing.assert_array_equal(first.colors, again.colors)
     assert (first.positions != other.positions).any()
+
+
+def test_a_wrong_mask_of_a_found_object_cuts_nothing_off(ball_scene: Scene) -> None:
+    first = ball_scene.train[0]
+    half = present(first.alpha).copy()
+    half[:, half.shape[1] // 2 :] = 0
+    wrong = replace(ball_scene, train=[replace(first, alpha=half), *ball_scene.train[1:]])
+
+    def height(scene: Scene) -> float:
+        """Return the least radius of the hull, in the ball's radii."""
+        points = hull_points(scene, 4000, 0, 64)
+        return float(np.linalg.norm(scene.user_from_scene.to_user(points.positions), axis=1).min()) / 0.8
+
+    assert height(wrong) < 0.3
+    assert height(replace(wrong, masks_found=True)) > 0.93
 
 
 def test_without_masks_or_points_a_ball(tmp_path: Path) -> None:

@@ -227,7 +227,7 @@ def _about_photometric_refinement(data: ReportData) -> Decision:
     if given is None or (not given.masked and _plain_backdrop(data, given) is None):
         return Decision(what, "not used", "It needs silhouettes, from masks or a plain backdrop, to hold the surface.")
     if given.masks_found:
-        return Decision(what, "not used", "The contours of found masks are too inaccurate to hold the surface.")
+        return Decision(what, "not used", "The contours of found masks are too inaccurate to hold the trained surface.")
     return Decision(what, "not used", "The setting photometric_reach or the time budget turns it off.")
 
 

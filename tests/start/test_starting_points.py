@@ -64,13 +64,13 @@ def test_a_wrong_mask_of_a_found_object_cuts_nothing_off(ball_scene: Scene) -> N
     half[:, half.shape[1] // 2 :] = 0
     wrong = replace(ball_scene, train=[replace(first, alpha=half), *ball_scene.train[1:]])
 
-    def height(scene: Scene) -> float:
+    def least_radius(scene: Scene) -> float:
         """Return the least radius of the hull, in the ball's radii."""
         points = hull_points(scene, 4000, 0, 64)
         return float(np.linalg.norm(scene.user_from_scene.to_user(points.positions), axis=1).min()) / 0.8
 
-    assert height(wrong) < 0.3
-    assert height(replace(wrong, masks_found=True)) > 0.93
+    assert least_radius(wrong) < 0.3
+    assert least_radius(replace(wrong, masks_found=True)) > 0.93
 
 
 def test_without_masks_or_points_a_ball(tmp_path: Path) -> None:

@@ -20,8 +20,8 @@ FLASH_TURN, ONLY_TURN = 22.0, 13.0
 class PhotometricRefinement(MeshStep):
     """Move the surface to where the photographs agree, after the shape from shading of the same turn.
 
-    It needs masks, because their contours keep the surface in place. Contours of a found object's masks are too
-    inaccurate.
+    It needs masks, because their contours keep the surface in place. The contours of a found object's masks are not
+    accurate enough for that.
     """
 
     refines = True

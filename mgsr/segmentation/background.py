@@ -19,6 +19,7 @@ import torch
 
 from mgsr.config.expert import BackgroundRenderOptions
 from mgsr.data.camera import Camera
+from mgsr.data.scene import View
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.renderers.surfels import render_surfels
@@ -52,33 +53,61 @@ class ExpectedBackground:
 
 
 @dataclass(frozen=True)
+class _Colors:
+    """Colours of a photograph: values [P,3] sRGB 0..1, and which are clipped, [P,3] bool; None if `View.white` is."""
+
+    values: np.ndarray
+    clipped: np.ndarray | None
+
+    @classmethod
+    def of(cls, values: np.ndarray, white: np.ndarray | None) -> _Colors:
+        """Make the colours of a photograph from its values [P,3] and `View.white` [3]."""
+        return cls(values, None if white is None else values >= white / np.float32(255))
+
+
+def squared_difference(
+    one: np.ndarray, other: np.ndarray, one_clipped: np.ndarray | None, other_clipped: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the squared differences [...] of the colours `one` [...,3] and `other` [...,3].
+
+    one_clipped, other_clipped [...,3] bool: which values are clipped; a brighter value does not differ from these.
+    None: none is clipped.
+    """
+    difference = one - other
+    if one_clipped is not None:
+        difference = np.where(one_clipped, np.maximum(difference, 0), difference)
+    if other_clipped is not None:
+        difference = np.where(other_clipped, np.minimum(difference, 0), difference)
+    return np.asarray((difference**2).sum(axis=-1))
+
+
+@dataclass(frozen=True)
 class BackgroundSources:
     """The photographs, surfels and support plane from which the background is rendered.
 
-    cameras, images: the photographs, [H,W,3] uint8 sRGB.
+    views: the photographs.
     clear [H,W] uint8, for each photograph: 255 where it certainly shows background, else 0.
     surfels: the surfels of the background.
     plane: the support plane, None without one.
     options: the options of the rendering.
     """
 
-    cameras: Sequence[Camera]
-    images: Sequence[np.ndarray]
+    views: Sequence[View]
     clear: Sequence[np.ndarray]
     surfels: SurfelModel
     plane: SupportPlane | None
     options: BackgroundRenderOptions = BackgroundRenderOptions()
 
-    def expected(self, image: np.ndarray, camera: Camera, window: Window, asked: np.ndarray) -> ExpectedBackground:
-        """Render the background in a window of a camera's image, from the other photographs alone.
+    def expected(self, view: View, window: Window, asked: np.ndarray) -> ExpectedBackground:
+        """Render the background in a window of a photograph, from the other photographs alone.
 
-        image [H,W,3] uint8 sRGB: the camera's photograph, for the photo-consistency. asked [h,w] bool: the pixels of
-        the window to render. All others are returned as unknown.
+        asked [h,w] bool: the pixels of the window to render. All others are returned as unknown.
         """
+        camera = view.camera
         places = self._places(camera, window)[asked]
         median, spread, known = self._samples(camera, places)
-        own = image[window][asked][~known] / np.float32(255)
-        behind, above = self._consistency(camera, own, places[~known])
+        unclear = _Colors.of(view.image[window][asked][~known] / np.float32(255), view.white)
+        behind, above = self._consistency(camera, unclear, places[~known])
         unknown = asked.copy()
         unknown[asked] = ~known
 
@@ -115,8 +144,8 @@ class BackgroundSources:
         spread = np.take_along_axis(np.sort(apart, axis=-1), middle, -1)[:, 0]
         return median, np.where(known, spread, np.float32(1)), known
 
-    def _consistency(self, camera: Camera, own: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the photo-consistency [P] of colours [P,3], sRGB 0..1, at places [P,3] and above them.
+    def _consistency(self, camera: Camera, own: _Colors, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the photo-consistency [P] of P colours at places [P,3] and above them.
 
         See ExpectedBackground. Both are infinite without a support plane.
         """
@@ -131,15 +160,17 @@ class BackgroundSources:
             above = np.minimum(above, self._difference(camera, own, raised))
         return behind, above
 
-    def _difference(self, camera: Camera, own: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Return the squared differences [P] of colours `own` [P,3] from other photographs at places [P,3].
+    def _difference(self, camera: Camera, own: _Colors, places: np.ndarray) -> np.ndarray:
+        """Return the squared differences [P] of P colours from other photographs at places [P,3].
 
         For each place, the result is the `options.agreeing`-th smallest difference.
         """
         smallest = np.full((self.options.agreeing, len(places)), np.inf, np.float32)  # sorted, the least first
         for index in self._order(camera):
             color, inside = self._seen(index, places)
-            other = np.where(inside, ((color - own) ** 2).sum(axis=-1), np.inf).astype(np.float32)
+            seen = _Colors.of(color, self.views[index].white)
+            apart = squared_difference(own.values, seen.values, own.clipped, seen.clipped)
+            other = np.where(inside, apart, np.inf).astype(np.float32)
             for row in smallest:
                 larger = np.maximum(row, other)
                 np.minimum(row, other, out=row)
@@ -148,7 +179,7 @@ class BackgroundSources:
 
     def _order(self, camera: Camera) -> np.ndarray:
         """Return the indices [K] of the nearest other cameras, by their angle to the camera at the scene's centre."""
-        centers = np.stack([camera.center, *(other.center for other in self.cameras)])
+        centers = np.stack([camera.center, *(other.camera.center for other in self.views)])
         ways = centers / np.maximum(np.linalg.norm(centers, axis=1, keepdims=True), 1e-12)
         itself = np.linalg.norm(centers[1:] - centers[0], axis=1) < SAME
         order = np.argsort(-(ways[1:] @ ways[0]), kind="stable")
@@ -178,15 +209,16 @@ class BackgroundSources:
         """
         import cv2  # imported here, because training needs no OpenCV
 
-        matrix = _projection(self.cameras[index])
+        view = self.views[index]
+        matrix = _projection(view.camera)
         *across, depth = matrix[:, :3] @ places.T + matrix[:, 3:]
         # OpenCV takes maps of at most 32,767 rows or columns.
         maps = np.full((2, -(-len(places) // COLUMNS), COLUMNS), OUTSIDE, np.float32)
         pixels = maps.reshape(2, -1)[:, : len(places)]
         np.divide(across, depth, out=pixels, where=depth > 0)
-        color = cv2.remap(self.images[index], maps[0], maps[1], cv2.INTER_LINEAR).reshape(-1, 3)[: len(places)]
+        color = cv2.remap(view.image, maps[0], maps[1], cv2.INTER_LINEAR).reshape(-1, 3)[: len(places)]
         if allowed is None:
-            width, height = self.cameras[index].width, self.cameras[index].height
+            width, height = view.camera.width, view.camera.height
             x, y = pixels
             return color / np.float32(255), (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
         clear = cv2.remap(allowed, maps[0], maps[1], cv2.INTER_LINEAR).ravel()

@@ -10,9 +10,10 @@ from scipy import ndimage
 
 from mgsr.config.expert import MatteOptions
 from mgsr.data.camera import Camera
+from mgsr.data.scene import View
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.renderers.surfels import render_surfels
-from mgsr.segmentation.background import BackgroundSources, Window
+from mgsr.segmentation.background import BackgroundSources, Window, squared_difference
 from mgsr.segmentation.color_models import ColorModels
 from mgsr.segmentation.random_walker import random_walker
 from mgsr.training.views import bounding_region
@@ -51,8 +52,7 @@ def hull_region(mask: np.ndarray, silhouette: np.ndarray, options: MatteOptions 
 
 
 def matte(
-    image: np.ndarray,
-    camera: Camera,
+    view: View,
     region: np.ndarray,
     surfels: SurfelModel,
     sources: BackgroundSources,
@@ -62,7 +62,7 @@ def matte(
 ) -> Matte:
     """Compute the object's matte in a photograph, inside a region [H,W] bool.
 
-    image [H,W,3]: uint8 sRGB.
+    view: the photograph. Where it is clipped, a brighter expected colour is no difference.
     surfels: the object's surfels.
     silhouette [H,W]: signed distances to the silhouette of the object's hull, in pixels, positive inside; None while
     the hull is unknown.
@@ -74,13 +74,16 @@ def matte(
         return found
     window = slice(*bounds[:2]), slice(*bounds[2:])
     inside = region[window]
-    background = sources.expected(image, camera, window, inside)
-    known, part = background.known, image[window] / np.float32(255)
+    background = sources.expected(view, window, inside)
+    known, part = background.known, view.image[window] / np.float32(255)
+    clipped = None if view.clipped is None else view.clipped[window]
     behind, _ = _extended(background.color, known.astype(np.float32), options)
     variance = np.where(known, options.noise**2 + (options.spread * background.spread) ** 2, options.guessed**2)
-    as_background = _cost(_squared(part - behind), variance, options)
-    color, covered = _object_colors(surfels, camera, window, options)
-    as_object = np.where(covered, _cost(_squared(part - color), options.rendered**2, options), options.max_cost)
+    as_background = _cost(squared_difference(part, behind, clipped), variance, options, options.unsure)
+    color, covered = _object_colors(surfels, view.camera, window, options)
+    as_object = np.where(
+        covered, _cost(squared_difference(part, color, clipped), options.rendered**2, options), options.max_cost
+    )
     tested, above = np.isfinite(background.behind), _cost(background.above, options.guessed**2, options)
     as_background = np.where(tested, _cost(background.behind, options.guessed**2, options), as_background)
     as_object = np.where(tested, np.minimum(as_object, above), as_object)
@@ -101,14 +104,13 @@ def matte(
     return found
 
 
-def _squared(difference: np.ndarray) -> np.ndarray:
-    """Return the squared lengths [h,w] of colour differences [h,w,3]."""
-    return np.asarray((difference**2).sum(axis=-1))
+def _cost(squared: np.ndarray, variance: np.ndarray | float, options: MatteOptions, unsure: float = 0.0) -> np.ndarray:
+    """Return the costs [h,w] of squared colour differences [h,w] with a variance, a number or [h,w].
 
-
-def _cost(squared: np.ndarray, variance: np.ndarray | float, options: MatteOptions) -> np.ndarray:
-    """Return the costs [h,w] of squared colour differences [h,w] with a variance, a number or [h,w]."""
-    return np.asarray(np.minimum(squared / (2 * variance), options.max_cost))
+    unsure: the additional cost where the standard deviation is e times `options.guessed`.
+    """
+    cost = squared / (2 * variance) + unsure * np.log(np.maximum(variance / options.guessed**2, 1)) / 2
+    return np.asarray(np.minimum(cost, options.max_cost))
 
 
 def without_small_holes(share: np.ndarray, largest: float = MatteOptions().max_hole) -> np.ndarray:

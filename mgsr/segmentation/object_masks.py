@@ -145,7 +145,7 @@ class _Search:
     ) -> None:
         self._model, self._first, self._options = model.detached(), first, options
         self._cameras = [view.camera for view in views]
-        self._images = [view.image for view in views]
+        self._views = list(views)
         self._pixel = pixel_size(self._cameras, np.zeros(3))
         self._hull: Hull | None = None
         self._models: ColorModels | None = None
@@ -168,15 +168,13 @@ class _Search:
         own, mattes = self._options.search, self._options.mattes
 
         def made(index: int) -> Matte:
-            image, camera, mask = self._images[index], self._cameras[index], self.masks[index]
+            view, mask = self._views[index], self.masks[index]
             if self.silhouettes is None:
-                return matte(image, camera, first_region(mask, mattes), surfels, sources, options=mattes)
+                return matte(view, first_region(mask, mattes), surfels, sources, options=mattes)
             inside = self.silhouettes[index]
-            return matte(
-                image, camera, hull_region(mask, inside, mattes), surfels, sources, inside, mattes, self._models
-            )
+            return matte(view, hull_region(mask, inside, mattes), surfels, sources, inside, mattes, self._models)
 
-        found = list(map_ahead(made, range(len(self._images)), None))
+        found = list(map_ahead(made, range(len(self._views)), None))
         self.masks = [each.share > 0.5 for each in found]
         first, shares = self._first, [each.share for each in found]
         self._hull = tolerant_hull(shares, self._cameras, first.box, first.plane, dissent, self._options.hull)
@@ -215,7 +213,7 @@ class _Search:
                 1.0, longest / own.side
             )  # in pixels of the small photographs
             region = hull_region(inside > 0, inside, mattes)
-            found = matte(pair[1].image, camera, region, surfels, sources, inside, mattes, self._models)
+            found = matte(pair[1], region, surfels, sources, inside, mattes, self._models)
             outer = np.where(inside > -own.outer_margin, found.share, 0)
             share = np.where(inside > own.filled, 1, outer).astype(np.float32)
             size = view.camera.width, view.camera.height
@@ -243,15 +241,14 @@ class _Search:
         own, background = self._options.search, self._options.background
         behind = ~self.labels & (self._hidden < 0.5) & (self._first.heights > -own.reflected * self._pixel)
         surfels = some_surfels(self._model, behind)
-        clear: list[np.ndarray] = [255 * (~mask).astype(np.uint8) for mask in self._blocked]
-        if larger is None:
-            return BackgroundSources(self._cameras, self._images, clear, surfels, self._first.plane, background)
-        cameras, images = [view.camera for view in larger], [view.image for view in larger]
+        views = self._views if larger is None else larger
         clear = [
-            cv2.resize(mask, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)
-            for mask, camera in zip(clear, cameras, strict=True)
+            cv2.resize(
+                255 * (~mask).astype(np.uint8), (view.camera.width, view.camera.height), interpolation=cv2.INTER_NEAREST
+            )
+            for mask, view in zip(self._blocked, views, strict=True)
         ]
-        return BackgroundSources(cameras, images, clear, surfels, self._first.plane, background)
+        return BackgroundSources(views, clear, surfels, self._first.plane, background)
 
     def _not_background(self) -> list[np.ndarray]:
         """Return the pixels [H,W] bool of each photograph that do not count as background: mask and silhouette."""
@@ -278,7 +275,7 @@ class _Search:
             near_on_plane(camera, plane, box.mean(axis=0), reach) & ~blocked
             for camera, blocked in zip(self._cameras, self._blocked, strict=True)
         ]
-        return color_models(self._images, objects, supports, own)
+        return color_models([view.image for view in self._views], objects, supports, own)
 
 
 def _columns(surfels: SurfelModel, plane: SupportPlane | None, copies: int) -> SurfelModel:

@@ -18,12 +18,13 @@ from mgsr.config.expert import (
 )
 from mgsr.data.camera import Camera
 from mgsr.data.hull import hull_surface
+from mgsr.data.scene import View
 from mgsr.gaussians.start import SH_CONSTANT
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.renderers.surfels import render_surfels
-from mgsr.segmentation.background import BackgroundSources
+from mgsr.segmentation.background import BackgroundSources, squared_difference
 from mgsr.segmentation.color_models import color_models, near_on_plane
 from mgsr.segmentation.consensus import silhouette_distance, tolerant_hull
 from mgsr.segmentation.mattes import first_region, hull_region, matte, without_small_holes
@@ -160,12 +161,12 @@ def test_the_background_behind_the_object_is_what_other_photographs_show() -> No
     masks = truth[: len(seen)]
     clear = [255 * (~mask).astype(np.uint8) for mask in masks]
     plane = SupportPlane(np.array([0.0, 0.0, 1.0]), -TABLE)
-    sources = BackgroundSources(seen, [view.image for view in scene.train], clear, surfels(0), plane)
+    sources = BackgroundSources(scene.train, clear, surfels(0), plane)
     for index in (0, 1, 2):
         rays, center = pixel_rays(seen[index]), seen[index].center
         places = center + (TABLE - center[2]) / np.minimum(rays[..., 2:], -1e-9) * rays
         asked = masks[index] & (rays[..., 2] < 0) & (np.linalg.norm(places[..., :2], axis=-1) < 1.7)
-        found = sources.expected(scene.train[index].image, seen[index], (slice(None), slice(None)), asked)
+        found = sources.expected(scene.train[index], (slice(None), slice(None)), asked)
         assert not (found.known & ~asked).any() and found.known[asked].mean() > 0.6
         wrong = np.abs(found.color - empty.train[index].image / 255).max(axis=-1)[found.known]
         assert np.median(wrong) < 0.03 and (wrong < 0.1).mean() > 0.9
@@ -176,13 +177,13 @@ def test_photo_consistency_tells_table_from_object_where_no_photograph_is_clear(
     seen = [view.camera for view in scene.train]
     plane = SupportPlane(np.array([0.0, 0.0, 1.0]), -TABLE)
     unclear = [np.zeros(view.image.shape[:2], np.uint8) for view in scene.train]
-    sources = BackgroundSources(seen, [view.image for view in scene.train], unclear, surfels(0), plane)
+    sources = BackgroundSources(scene.train, unclear, surfels(0), plane)
     on_table, on_object = [], []
     for index in range(0, len(seen), 4):
         rays, center = pixel_rays(seen[index]), seen[index].center
         places = center + (TABLE - center[2]) / np.minimum(rays[..., 2:], -1e-9) * rays
         asked = (rays[..., 2] < 0) & (np.linalg.norm(places[..., :2], axis=-1) < 1.2)
-        found = sources.expected(scene.train[index].image, seen[index], (slice(None), slice(None)), asked)
+        found = sources.expected(scene.train[index], (slice(None), slice(None)), asked)
         assert not found.known.any() and np.isinf(found.behind[~asked]).all()
         differs = np.where(
             np.isfinite(found.above), found.behind - np.where(np.isfinite(found.above), found.above, 0), 0
@@ -193,6 +194,67 @@ def test_photo_consistency_tells_table_from_object_where_no_photograph_is_clear(
         on_table.append(differs[asked & ~apart[1]])
     assert (np.concatenate(on_table) < 0.002).mean() > 0.95
     assert (np.concatenate(on_object) > 0.002).mean() > 0.6
+
+
+def painted(color: float, white: int | None = None) -> tuple[list[View], list[np.ndarray]]:
+    """Return the views of the table's capture with the object in one grey, sRGB 0..1, and its true masks."""
+    scene, truth = table_scene(size=96)
+    grey = np.uint8(round(255 * color))
+    clips = None if white is None else np.full(3, white, np.uint8)
+    views = [
+        replace(view, image=np.where(mask[..., None], grey, view.image), white=clips)
+        for view, mask in zip(scene.train, truth, strict=False)
+    ]
+    return views, truth[: len(views)]
+
+
+def grey_surfels(color: float) -> SurfelModel:
+    """Return opaque surfels in one grey, sRGB 0..1, in the middle of the table's object."""
+    model = surfels(200)
+    model.sh[:, 0] = (color - 0.5) / SH_CONSTANT
+    return replace(model, opacity_logits=torch.full((200,), 4.0))
+
+
+def errors(
+    views: list[View], truth: list[np.ndarray], sources: BackgroundSources, model: SurfelModel, **own: float
+) -> float:
+    """Return the share of wrong pixels in and around the object in some mattes."""
+    wrong = []
+    for index in range(0, len(views), 6):
+        region = ndimage.binary_dilation(truth[index], iterations=6)
+        found = matte(views[index], region, model, sources, options=MatteOptions(**own))  # type: ignore[arg-type]
+        wrong.append(((found.share > 0.5) != truth[index])[region].mean())
+    return float(np.mean(wrong))
+
+
+def test_a_clipped_photograph_shows_the_object_even_where_its_surfels_are_brighter() -> None:
+    plane = SupportPlane(np.array([0.0, 0.0, 1.0]), -TABLE)
+    found = []
+    for white in (222, None):
+        views, truth = painted(222 / 255, white)
+        clear = [255 * (~ndimage.binary_dilation(mask)).astype(np.uint8) for mask in truth]
+        sources = BackgroundSources(views, clear, surfels(0), plane)
+        found.append(errors(views, truth, sources, grey_surfels(1.4)))
+    assert found[0] < 0.03 and found[1] > 10 * found[0], found
+
+
+def test_a_background_of_unknown_colour_explains_no_pixel_well() -> None:
+    random = np.random.default_rng(0)
+    views, truth = painted(0.75)
+    noise = [replace(view, image=random.integers(0, 256, view.image.shape).astype(np.uint8)) for view in views]
+    clear = [np.full(mask.shape, 255, np.uint8) for mask in truth]
+    sources = BackgroundSources(noise, clear, surfels(0), SupportPlane(np.array([0.0, 0.0, 1.0]), -TABLE))
+    model = grey_surfels(0.68)  # less than two standard deviations from the photographs
+    assert errors(views, truth, sources, model) < errors(views, truth, sources, model, unsure=0) / 3
+
+
+def test_brighter_colours_do_not_differ_from_clipped_ones() -> None:
+    one, other = np.array([[0.5, 0.8, 0.8], [0.5, 0.5, 0.9]]), np.array([[0.6, 0.9, 0.7], [0.5, 0.7, 0.6]])
+    high = one >= 0.8, other >= 0.7
+    np.testing.assert_allclose(squared_difference(one, other, None), [0.03, 0.13])
+    np.testing.assert_allclose(squared_difference(one, other, high[0]), [0.02, 0.13])
+    np.testing.assert_allclose(squared_difference(one, other, None, high[1]), [0.02, 0.09 + 0.04])
+    np.testing.assert_allclose(squared_difference(one, other, high[0], high[1]), [0.01, 0.13])
 
 
 def test_colour_models_compare_with_the_nearest_samples() -> None:
@@ -229,7 +291,7 @@ def test_colours_tell_table_from_object_where_no_photograph_is_clear() -> None:
     seen, images = [view.camera for view in scene.train], [view.image for view in scene.train]
     plane = SupportPlane(np.array([0.0, 0.0, 1.0]), -TABLE)
     unclear = [np.zeros(view.image.shape[:2], np.uint8) for view in scene.train]
-    sources = BackgroundSources(seen, images, unclear, surfels(0), plane)
+    sources = BackgroundSources(scene.train, unclear, surfels(0), plane)
     around = [ndimage.binary_dilation(mask, iterations=8) for mask in truth]
     inside = [ndimage.binary_erosion(mask, iterations=3) for mask in truth]
     near = [near_on_plane(camera, plane, np.array([0, 0, TABLE]), 1.5) for camera in seen]
@@ -243,8 +305,7 @@ def test_colours_tell_table_from_object_where_no_photograph_is_clear() -> None:
         unlike_object, unlike_support = models.costs(images[index][clear] / np.float32(255))
         right.append(((unlike_object < unlike_support) == truth[index][clear]).mean())
         found = [
-            matte(images[index], seen[index], region, surfels(0), sources, models=each).share > 0.5
-            for each in (None, models)
+            matte(scene.train[index], region, surfels(0), sources, models=each).share > 0.5 for each in (None, models)
         ]
         wrong.append([(mask != truth[index])[region].mean() for mask in found])
     without, reported = np.mean(wrong, axis=0)

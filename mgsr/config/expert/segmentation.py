@@ -81,6 +81,8 @@ class MatteOptions(Options):
     spread: NotNegative = 1.5  # factor on the spread of the background's samples, which adds to the noise
     guessed: Positive = 0.06  # standard deviation where the background is extrapolated, or where only photo-consistency
     # decides
+    unsure: NotNegative = 2.0  # additional cost of a known background whose standard deviation is e times that of a
+    # guessed one: a background that may have any colour explains no colour well
     rendered: Positive = 0.04  # standard deviation of a photograph from the object's rendered surfels
     max_cost: Positive = 9.0  # upper limit of a cost
     certain_cost: NotNegative = 4.0  # background cost above which a pixel certainly does not show the background

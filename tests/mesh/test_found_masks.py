@@ -8,6 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from mgsr.config import MeshConfig
+from mgsr.config.expert import ContourOptions
 from mgsr.data.silhouettes import Silhouette
 from mgsr.mesh.steps.fit_contours import FitContours
 from mgsr.mesh.steps.photometric_refinement import PhotometricRefinement
@@ -43,6 +44,20 @@ def test_contours_of_found_masks_leave_fewer_bumps() -> None:
         errors[found] = np.degrees(np.arccos(np.clip(cosines, -1, 1))).mean(), np.abs(radii - RADIUS).mean()
     assert errors[True][0] < 0.7 * errors[False][0]
     assert errors[True][1] < errors[False][1] < 0.01
+
+
+def test_corrections_from_found_masks_fade_away_from_the_contours() -> None:
+    """Check how far a ball moves at the two points that one camera sees farthest from its contour."""
+    silhouettes, start = covered(RADIUS)[:1], as_mesh(ball(RADIUS - 0.01))
+    toward = silhouettes[0].camera.center / np.linalg.norm(silhouettes[0].camera.center)
+    along = np.abs(start.vertices @ toward) / RADIUS
+    moved = []
+    for options in (ContourOptions(), ContourOptions(found_prior_weight=ContourOptions().prior_weight)):
+        mesh = FitContours(options).run(start, LightEstimate(), context_of(silhouettes, True)).mesh
+        moves = np.linalg.norm(mesh.vertices - start.vertices, axis=1)
+        moved.append([moves[along > 0.8].mean(), moves[along < 0.1].mean()])
+    (far, near), (far_without, near_without) = moved
+    assert near > 0 and far / near < 0.3 * far_without / near_without, moved
 
 
 def test_found_masks_do_not_hold_the_surface_for_photometric_refinement() -> None:

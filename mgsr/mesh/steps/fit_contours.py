@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mgsr.config.expert import ContourOptions
 from mgsr.geometry.contours import fit_contours
@@ -22,7 +22,8 @@ class FitContours(MeshStep):
         return bool(context.photos.silhouettes) and context.config.silhouette_smoothing is not None
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
-        smoothing = context.config.silhouette_smoothing or 0.0
+        smoothing, options = context.config.silhouette_smoothing or 0.0, self.options
         if context.photos.masks_found:
-            smoothing *= self.options.found_smoothing
-        return StepResult(fit_contours(mesh, context.photos.contours, smoothing, self.options), light)
+            smoothing *= options.found_smoothing
+            options = replace(options, prior_weight=options.found_prior_weight)
+        return StepResult(fit_contours(mesh, context.photos.contours, smoothing, options), light)

@@ -25,11 +25,13 @@ class Matte:
 
     share [H,W] float32: the object's share of each pixel, 0..1. certain [H,W] bool: where the photograph certainly does
     not show the background. background_known [H,W] bool: where the background is known; `certain` is False elsewhere.
+    gaps [H,W] bool: where the photograph shows the background inside the hull's silhouette, in gaps that reach its rim.
     """
 
     share: np.ndarray
     certain: np.ndarray
     background_known: np.ndarray
+    gaps: np.ndarray
 
 
 def first_region(mask: np.ndarray, options: MatteOptions = MatteOptions()) -> np.ndarray:
@@ -68,7 +70,8 @@ def matte(
     the hull is unknown.
     models: the colour models, which decide where the background is unknown; None while they are unknown.
     """
-    found = Matte(np.zeros(region.shape, np.float32), np.zeros(region.shape, bool), np.zeros(region.shape, bool))
+    nowhere = np.zeros(region.shape, bool)
+    found = Matte(np.zeros(region.shape, np.float32), nowhere, nowhere.copy(), nowhere.copy())
     bounds = bounding_region(region, options.margin)
     if bounds is None:
         return found
@@ -96,12 +99,26 @@ def matte(
     advantage = as_background - as_object
     for_object, for_background = np.maximum(advantage, 0), np.maximum(-advantage, 0)
     if silhouette is not None:
-        for_object += options.deep_cost * ((silhouette[window] > options.deep) & known)
+        deep = silhouette[window] > options.deep
+        found.gaps[window] = _gaps(known & (for_background > options.gap_cost), deep)
+        for_object += options.deep_cost * (deep & known & ~found.gaps[window])
         for_background += options.outside_cost * (silhouette[window] < -options.outside)
     share = random_walker(part, for_object, for_background, inside, options.walker)
     found.share[window] = without_small_holes(share, options.max_hole)
     found.certain[window], found.background_known[window] = known & (as_background > options.certain_cost), known
     return found
+
+
+def _gaps(background: np.ndarray, deep: np.ndarray) -> np.ndarray:
+    """Return the gaps [h,w] bool in the hull's silhouette through which the background shows.
+
+    The tolerant hull fills gaps that few photographs see. A gap reaches the silhouette's rim; background farther inside
+    is the object in the background's colour.
+    background [h,w] bool: the pixels like the background and unlike the object. deep [h,w] bool: all pixels but those
+    outside the silhouette and on its rim.
+    """
+    wide = ndimage.binary_opening(background)
+    return np.asarray(ndimage.binary_propagation(wide & ~deep, mask=wide))
 
 
 def _cost(squared: np.ndarray, variance: np.ndarray | float, options: MatteOptions, unsure: float = 0.0) -> np.ndarray:

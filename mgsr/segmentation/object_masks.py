@@ -215,7 +215,7 @@ class _Search:
             region = hull_region(inside > 0, inside, mattes)
             found = matte(pair[1], region, surfels, sources, inside, mattes, self._models)
             outer = np.where(inside > -own.outer_margin, found.share, 0)
-            share = np.where(inside > own.filled, 1, outer).astype(np.float32)
+            share = np.where((inside > own.filled) & ~found.gaps, 1, outer).astype(np.float32)
             size = view.camera.width, view.camera.height
             return np.asarray((255 * cv2.resize(share, size, interpolation=cv2.INTER_LINEAR)).round().astype(np.uint8))
 

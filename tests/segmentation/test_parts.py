@@ -248,6 +248,29 @@ def test_a_background_of_unknown_colour_explains_no_pixel_well() -> None:
     assert errors(views, truth, sources, model) < errors(views, truth, sources, model, unsure=0) / 3
 
 
+def test_a_gap_that_the_hull_fills_shows_the_background() -> None:
+    """Check a gap that reaches the rim, and the object in the background's colour, which is no gap."""
+    views, truth = painted(0.75)
+    view, mask = views[0], truth[0]
+    rows, columns = np.nonzero(mask)
+    row, left, right = int(np.median(rows)), columns[rows == int(np.median(rows))].min(), columns.max()
+    image, gap = view.image.copy(), np.zeros_like(mask)
+    gap[row - 3 : row + 4, left : left + (right - left) // 3] = True
+    gap &= mask
+    spot = ndimage.binary_erosion(mask, iterations=5) & ~ndimage.binary_dilation(gap, iterations=5)
+    image[gap | spot] = 176
+    behind = [replace(other, image=np.full_like(other.image, 176)) for other in views]
+    clear = [np.full(each.shape, 255, np.uint8) for each in truth]
+    sources = BackgroundSources(behind, clear, surfels(0), SupportPlane(np.array([0.0, 0.0, 1.0]), -TABLE))
+    inside = ndimage.distance_transform_edt(mask) - ndimage.distance_transform_edt(~mask)
+    region = ndimage.binary_dilation(mask, iterations=6)
+    found = matte(replace(view, image=image), region, grey_surfels(0.75), sources, inside)
+    spot, gap = spot & found.background_known, ndimage.binary_erosion(gap) & found.background_known
+    assert spot.sum() > 50 and gap.sum() > 20
+    assert found.gaps[gap].mean() > 0.9 and not found.gaps[spot].any()
+    assert (found.share > 0.5)[spot].mean() > 0.9 and (found.share > 0.5)[gap].mean() < 0.1
+
+
 def test_brighter_colours_do_not_differ_from_clipped_ones() -> None:
     one, other = np.array([[0.5, 0.8, 0.8], [0.5, 0.5, 0.9]]), np.array([[0.6, 0.9, 0.7], [0.5, 0.7, 0.6]])
     high = one >= 0.8, other >= 0.7

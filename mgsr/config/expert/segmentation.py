@@ -88,6 +88,8 @@ class MatteOptions(Options):
     certain_cost: NotNegative = 4.0  # background cost above which a pixel certainly does not show the background
     deep: NotNegative = 3.0  # pixels inside the hull's silhouette beyond which the label background costs more
     deep_cost: NotNegative = 6.0  # additional cost of the label background there, where the background is known
+    gap_cost: NotNegative = 3.0  # difference of the costs of object and background above which a pixel may belong to a
+    # gap in the hull's silhouette: neither the deep cost nor `filled` applies there
     outside: NotNegative = 3.0  # pixels outside the hull's silhouette beyond which the label object costs more
     outside_cost: NotNegative = 3.0  # additional cost of the label object there
     searched: NotNegative = 6.0  # pixels around the hull's silhouette in which the object may lie
@@ -132,7 +134,7 @@ class ObjectSearchOptions(Options):
     min_surfels: Annotated[int, Range(4)] = 50  # least surfels of an object
     rival: NotNegative = 0.4  # relative size of a second piece above which the object is ambiguous
     outer_margin: NotNegative = 3.0  # pixels outside the hull's silhouette beyond which final masks are 0
-    filled: NotNegative = 2.0  # pixels inside the hull's silhouette beyond which final masks are 1
+    filled: NotNegative = 2.0  # pixels inside the hull's silhouette beyond which final masks are 1, except in gaps
     min_agreement: Share = 0.75  # least mean intersection over union of the masks and the hull's silhouettes
     min_shown: Share = 0.8  # least share of the photographs that show the object
     full: Share = 0.7  # median share of the image above which masks do not show a single object

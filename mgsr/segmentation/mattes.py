@@ -79,7 +79,7 @@ def matte(
     inside = region[window]
     background = sources.expected(view, window, inside)
     known, part = background.known, view.image[window] / np.float32(255)
-    clipped = None if view.clipped is None else view.clipped[window]
+    clipped = None if view.white is None else view.image[window] >= view.white
     behind, _ = _extended(background.color, known.astype(np.float32), options)
     variance = np.where(known, options.noise**2 + (options.spread * background.spread) ** 2, options.guessed**2)
     as_background = _cost(squared_difference(part, behind, clipped), variance, options, options.unsure)

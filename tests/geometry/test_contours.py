@@ -40,6 +40,24 @@ def test_outline_lies_on_the_rays_that_touch_the_ball() -> None:
     assert np.abs(passing - RADIUS).mean() < 0.08 * pixel
 
 
+def test_contours_of_binary_masks_err_by_a_sixth_of_a_pixel() -> None:
+    """Check the distances of binary masks against those of the covered shares, which are exact."""
+    errors = []
+    for exact in covered(RADIUS, 6):
+        binary = signed_distance((exact.distance > 0).astype(np.float32))
+        near = np.abs(exact.distance) < 0.4
+        errors.append((binary - exact.distance)[near])
+        assert len(find_contour(Silhouette(exact.camera, binary)).points) > 0.8 * near.sum()
+    error = np.concatenate(errors)
+    assert np.sqrt((error**2).mean()) < 0.2 and abs(error.mean()) < 0.05
+
+
+def test_no_pixel_of_a_thin_part_of_a_binary_mask_changes_sides() -> None:
+    mask = np.zeros((20, 20), np.float32)
+    mask[:, 8] = mask[5, 12:] = 1
+    np.testing.assert_array_equal(signed_distance(mask) > 0, mask > 0)
+
+
 @pytest.mark.parametrize("off", [-0.02, 0.02])
 def test_a_ball_of_the_wrong_size_gets_the_right_one(off: float) -> None:
     mesh = ball(RADIUS + off)

@@ -146,7 +146,8 @@ class Scene:
 
     ground [4]: the plane on which a found object stands, None if it is unknown. It holds the points x with
     ground[:3] . x + ground[3] = 0; its unit normal points up.
-    masks_found: whether the masks are those of a found object, which err in places and along their contours.
+    masks_found: whether the masks are those of a found object.
+    mask_error: the median distance, in pixels, of given masks' contours to those of their hull (see `mask_error.py`).
     object_place: the object's place according to the capture, None if the capture gives none.
     """
 
@@ -166,6 +167,7 @@ class Scene:
     options: DataOptions = field(default_factory=DataOptions)
     ground: np.ndarray | None = None
     masks_found: bool = False
+    mask_error: float = 0.0
     object_place: ObjectPlace | None = None
 
     @property
@@ -174,9 +176,19 @@ class Scene:
         return all(view.alpha is not None for view in self.train)
 
     @property
+    def masks_inexact(self) -> bool:
+        """Return whether the masks err in places and along their contours, as those of a found object do."""
+        return self.masks_found or self.mask_error > self.options.mask_error.exact
+
+    @property
     def mask_dissent(self) -> int:
         """Return the number of training views whose masks may exclude a point of the object; 0 for given masks."""
         return int(self.options.mask_dissent * len(self.train)) if self.masks_found else 0
+
+    @property
+    def mask_margin(self) -> float:
+        """Return by how many pixels a point of the object may lie outside given masks; 0 if they are exact."""
+        return self.mask_error if self.masks_inexact and not self.masks_found else 0.0
 
     @cached_property
     def plain_backdrop(self) -> Color | None:

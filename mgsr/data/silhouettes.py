@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -37,6 +37,10 @@ class Silhouette:
     camera: Camera
     distance: np.ndarray
     valid_mask: np.ndarray | None = None
+
+    def grown(self, pixels: float) -> Silhouette:
+        """Return the silhouette with its contour moved outwards."""
+        return self if pixels == 0 else replace(self, distance=self.distance + np.float32(pixels))
 
     @cached_property
     def whole(self) -> bool:

@@ -54,7 +54,9 @@ def extract_mesh(
     if footprint is None:
         raise MeshError(_nothing_seen(views, config))
     bounded = bool(photos.silhouettes) and config.hull_margin is not None
-    hull = SilhouetteHull(photos.silhouettes, photos.dissent) if bounded else None
+    hull = (
+        SilhouetteHull([each.grown(photos.margin) for each in photos.silhouettes], photos.dissent) if bounded else None
+    )
     context = StepContext(views, photos, config, footprint, hull, TimeLeft(go_on), ground, expert.mesh)
     trained = _by_poisson(context, start) if config.extractor is Extractor.POISSON else _by_tsdf(context)
     kept = start if start is not None and _start_is_better(start, trained, context, expert) else None

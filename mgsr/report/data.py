@@ -92,7 +92,8 @@ class InputFacts:
     [3]: the origin of positions in splat files, if the frame's own origin is far away. shown: the share of valid pixels
     in the training images, if it is not 1. backdrop [3]: the colour, sRGB 0..1, of a plain backdrop in photographs
     without masks. exposures: the ratio of the brightest exposure to the darkest. masks_found: True if the masks are
-    those of an object that was found in the photographs.
+    those of an object that was found in the photographs. mask_error: the `Scene.mask_error`, pixels, of inexact masks
+    that were given.
     """
 
     path: str
@@ -112,6 +113,7 @@ class InputFacts:
     flash: FlashFacts | None = None
     starting_points: StartFacts | None = None
     masks_found: bool | None = None
+    mask_error: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields that apply, by name, as plain types."""

@@ -112,6 +112,11 @@ def _about_input(data: ReportData) -> Iterator[Decision]:
     if given.masks_found:
         why = "One object stands out in the photographs. Everything around it is background."
         yield Decision("Masks", "found", why)
+    elif given.mask_error is not None:
+        why = (
+            f"Their contours contradict each other by {given.mask_error:.1f} pixels, so the surface follows them less."
+        )
+        yield Decision("Masks", "used as inexact", why)
     elif given.masked:
         yield Decision("Masks", "used", "Every training photograph has a mask. Everything outside is background.")
     else:
@@ -226,8 +231,8 @@ def _about_photometric_refinement(data: ReportData) -> Decision:
     given = data.input
     if given is None or (not given.masked and _plain_backdrop(data, given) is None):
         return Decision(what, "not used", "It needs silhouettes, from masks or a plain backdrop, to hold the surface.")
-    if given.masks_found:
-        return Decision(what, "not used", "The contours of found masks are too inaccurate to hold the trained surface.")
+    if given.masks_found or given.mask_error is not None:
+        return Decision(what, "not used", "The contours of the masks are too inaccurate to hold the trained surface.")
     return Decision(what, "not used", "The setting photometric_reach or the time budget turns it off.")
 
 

@@ -25,7 +25,8 @@ class PhotoSet:
 
     views: the training views. silhouettes: of their masks, at any size; empty without masks. threads: the cores to use;
     None: all. options: of the observations. dissent: the number of silhouettes that may exclude a part of the object.
-    masks_found: whether the masks are those of a found object, whose contours are less accurate than given ones.
+    margin: pixels by which a part of the object may lie outside silhouettes. masks_inexact: whether the contours of the
+    masks are inaccurate.
     """
 
     views: Sequence[View] = ()
@@ -33,14 +34,15 @@ class PhotoSet:
     threads: int | None = None
     options: ObservationOptions = ObservationOptions()
     dissent: int = 0
-    masks_found: bool = False
+    margin: float = 0.0
+    masks_inexact: bool = False
 
     @classmethod
     def of_scene(
         cls, scene: Scene, silhouettes: Sequence[Silhouette], options: ObservationOptions = ObservationOptions()
     ) -> PhotoSet:
         """Return the training photographs of a scene. silhouettes: of their masks, at any size."""
-        return cls(scene.train, silhouettes, None, options, scene.mask_dissent, scene.masks_found)
+        return cls(scene.train, silhouettes, None, options, scene.mask_dissent, scene.mask_margin, scene.masks_inexact)
 
     @cached_property
     def photographs(self) -> list[Photograph]:

@@ -55,7 +55,7 @@ def refine_photometrically(
     mix = choose_mix(ObservedMesh(start, pixel, options.details), few, light, photos.threads)
     mixes = mix_channels(some_of(photos.photographs), mix, photos.threads, options.details)
     coarse = coarser(start, options.coarse_edge * pixel, options.max_faces)
-    precision = options.found_contour_precision if photos.masks_found else options.contour_precision
+    precision = options.inexact_contour_precision if photos.masks_inexact else options.contour_precision
     plate = _plate(start.vertices, coarse, reach * pixel)
     moved = start
     for _ in range(options.rounds):

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from mgsr.config import Background, ExpertConfig
 from mgsr.config.expert import StartConfig, ViewColorOptions
-from mgsr.data.hull import carve, cut_at, hull_surface
+from mgsr.data.hull import Hull, carve, cut_at, hull_surface
 from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, view_silhouettes
 from mgsr.geometry.mesh import Mesh
@@ -76,9 +76,15 @@ def hull_points(
     resolution: voxels along a side of the grid. Raises SceneError if the hull is empty.
     """
     silhouettes = view_silhouettes(scene.train, options.mask_side)
-    mesh = Mesh(*hull_surface(carve(silhouettes, np.zeros(3), options.carved, resolution, scene.mask_dissent)))
+    mesh = Mesh(*hull_surface(_carved(scene, silhouettes, resolution, options)))
     positions, normals = _sample(mesh, count, np.random.default_rng(seed))
     return _seen_on_hull(scene.train, positions, normals, resolution, options)
+
+
+def _carved(scene: Scene, silhouettes: Sequence[Silhouette], resolution: int, options: StartConfig) -> Hull:
+    """Carve the visual hull with `resolution` voxels along a side. It tolerates the errors of inexact masks."""
+    grown = [silhouette.grown(scene.mask_margin) for silhouette in silhouettes]
+    return carve(grown, np.zeros(3), options.carved, resolution, scene.mask_dissent)
 
 
 def _own_points(points: PointCloud, max_distance: float) -> PointCloud:
@@ -131,7 +137,7 @@ def _surface_points(
     side = max(max(silhouette.distance.shape) for silhouette in silhouettes)
     resolution, options = expert.start.resolution, expert.start
     resolution = resolution if side >= resolution else resolution // 2  # small images have no finer detail
-    hull = carve(silhouettes, np.zeros(3), options.carved, resolution, scene.mask_dissent)
+    hull = _carved(scene, silhouettes, resolution, options)
     if scene.ground is not None:
         hull = cut_at(hull, scene.ground)
     photos = PhotoSet.of_scene(scene, silhouettes, expert.shading.observations)

@@ -52,17 +52,24 @@ def test_a_flash_is_told_with_its_place() -> None:
         ("flash", "given", True, "used", "flash"),
         ("unknown", "none", False, "not used", "needs silhouettes, from masks"),
         ("unknown", "given", False, "not used", "photometric_reach"),
-        ("unknown", "found", False, "not used", "found masks"),
+        ("unknown", "found", False, "not used", "inaccurate"),
+        ("unknown", "inexact", False, "not used", "inaccurate"),
     ],
 )
 def test_photometric_refinement_has_its_reason(light: str, masks: str, moved: bool, choice: str, why: str) -> None:
     steps = {"photometric_refinement": MeshStepRun(1.0, 900, {})} if moved else {}
-    given = replace(present(sample_report().input), masked=masks != "none", masks_found=masks == "found" or None)
+    given = replace(
+        present(sample_report().input),
+        masked=masks != "none",
+        masks_found=masks == "found" or None,
+        mask_error=0.8 if masks == "inexact" else None,
+    )
     run = replace(bare_report(), light=light, input=given, mesh_steps=steps)
     reported = {each.what: each for each in tell_decisions(run)}
     decision = reported["Photometric refinement"]
     assert decision.choice == choice and why in decision.why
-    assert reported["Masks"].choice == {"given": "used", "found": "found", "none": "not used"}[masks]
+    choices = {"given": "used", "found": "found", "inexact": "used as inexact", "none": "not used"}
+    assert reported["Masks"].choice == choices[masks]
 
 
 def test_the_reflected_light_is_told_with_its_reason() -> None:

@@ -182,7 +182,7 @@ def test_contours_of_found_masks_pull_less_on_what_is_true() -> None:
     truth = dented()
     given = photos_of(truth, photographs(truth, painted))
     wide = replace(given, silhouettes=[replace(one, distance=one.distance + 0.5) for one in given.silhouettes])
-    found = replace(wide, masks_found=True)
+    found = replace(wide, masks_inexact=True)
     options = PhotometricOptions(rounds=2)
     meshes = [refine_photometrically(as_mesh(truth), photos, 6.0, options=options) for photos in (wide, found)]
     moves = [np.linalg.norm(mesh.vertices - truth.vertices, axis=1).mean() for mesh in meshes]

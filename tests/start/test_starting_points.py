@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from mgsr.config import DataConfig, Masks
@@ -71,6 +72,23 @@ def test_a_wrong_mask_of_a_found_object_cuts_nothing_off(ball_scene: Scene) -> N
 
     assert least_radius(wrong) < 0.3
     assert least_radius(replace(wrong, masks_found=True)) > 0.93
+
+
+def test_the_hull_of_inexact_masks_holds_what_they_miss(ball_scene: Scene) -> None:
+    """Check the hull of masks that are a pixel too small or too large by turns; a pixel is 0.037 at the ball."""
+    grown = [ndimage.grey_erosion, ndimage.grey_dilation]
+    rough = [
+        replace(view, alpha=grown[number % 2](present(view.alpha), 3)) for number, view in enumerate(ball_scene.train)
+    ]
+    inexact = replace(ball_scene, train=rough, mask_error=1.0)
+    assert inexact.masks_inexact
+
+    def radius(scene: Scene) -> float:
+        """Return the median radius of the hull."""
+        points = hull_points(scene, 4000, 0, 64)
+        return float(np.median(np.linalg.norm(scene.user_from_scene.to_user(points.positions), axis=1)))
+
+    assert radius(replace(inexact, mask_error=0.0)) < 0.79 and 0.79 < radius(inexact) < 0.83
 
 
 def test_without_masks_or_points_a_ball(tmp_path: Path) -> None:

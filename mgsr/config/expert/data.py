@@ -73,6 +73,19 @@ class OddMaskOptions(Options):
 
 
 @dataclass(frozen=True)
+class MaskErrorOptions(Options):
+    """The measurement of how far masks contradict each other along their contours."""
+
+    contour_side: Annotated[int, Range(16)] = 400  # pixels; longer side of the silhouettes
+    resolution: Annotated[int, Range(16)] = 64  # voxels along a side of the grid that the visual hull is carved from
+    half: Factor = 1.05  # half the side of the carved cube, in ball radii
+    views: Count = 24  # most views whose contours are looked at; all views carve the hull
+    pixels: Count = 50  # most pixels of a contour that are looked at
+    steps: Count = 25  # points of a ray near the hull that are looked at
+    exact: Positive = 0.3  # pixels; largest error of exact masks; more means inexact masks
+
+
+@dataclass(frozen=True)
 class NormalisationOptions(Options):
     """The search for the ball that holds the object."""
 
@@ -220,6 +233,7 @@ class DataOptions(Options):
     backdrop: BackdropOptions = field(default_factory=BackdropOptions)
     mask_use: MaskUseOptions = field(default_factory=MaskUseOptions)
     odd_masks: OddMaskOptions = field(default_factory=OddMaskOptions)
+    mask_error: MaskErrorOptions = field(default_factory=MaskErrorOptions)
     normalisation: NormalisationOptions = field(default_factory=NormalisationOptions)
     undistortion: UndistortionOptions = field(default_factory=UndistortionOptions)
     sharpness: SharpnessOptions = field(default_factory=SharpnessOptions)

@@ -37,9 +37,9 @@ class ContourOptions(Options):
     max_faces: Count = MAX_FACES  # most faces of the mesh with that edge length
     prior_weight: Positive = 0.02  # of a displacement of 0 where no contour touches; a vertex follows its neighbours
     rounds: WholeNumber = 2  # of finding the mesh's contours and moving its vertices
-    found_smoothing: Positive = 3.0  # multiple of `silhouette_smoothing` for found masks, whose contours err by about a
-    # third of a pixel
-    found_prior_weight: Positive = 0.1  # prior_weight for found masks; keeps a correction near the contours it is from
+    inexact_smoothing: Positive = 3.0  # multiple of `silhouette_smoothing` for inexact masks, whose contours err by
+    # about a third of a pixel or more
+    inexact_prior_weight: Positive = 0.1  # prior_weight for inexact masks; keeps a correction near its contours
     search: ContourSearchOptions = field(default_factory=ContourSearchOptions)
 
 

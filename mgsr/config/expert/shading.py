@@ -187,7 +187,7 @@ class PhotometricOptions(Options):
     mirrored: Positive = 0.1  # mirrored detail, in multiples of the noise, at which an observation counts half
     precision: Positive = 0.3  # pixels; standard deviation of a displacement with weight 1 in the thin plate
     contour_precision: Positive = 0.1  # pixels; standard deviation of a mask's contour
-    found_contour_precision: Positive = 0.3  # pixels; standard deviation of the contour of a found object's mask
+    inexact_contour_precision: Positive = 0.3  # pixels; standard deviation of an inexact mask's contour
     prior_weight: Positive = 1e-4  # weight of a displacement of 0 at vertices without observations
     details: DetailOptions = field(default_factory=DetailOptions)
     contours: ContourSearchOptions = field(default_factory=ContourSearchOptions)

@@ -23,7 +23,7 @@ class FitContours(MeshStep):
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
         smoothing, options = context.config.silhouette_smoothing or 0.0, self.options
-        if context.photos.masks_found:
-            smoothing *= options.found_smoothing
-            options = replace(options, prior_weight=options.found_prior_weight)
+        if context.photos.masks_inexact:
+            smoothing *= options.inexact_smoothing
+            options = replace(options, prior_weight=options.inexact_prior_weight)
         return StepResult(fit_contours(mesh, context.photos.contours, smoothing, options), light)

@@ -34,7 +34,7 @@ class PhotometricRefinement(MeshStep):
 
     def applies(self, context: StepContext, light: LightEstimate) -> bool:
         photos = context.photos
-        wanted = context.config.photometric_reach is not None and bool(photos.silhouettes) and not photos.masks_found
+        wanted = context.config.photometric_reach is not None and bool(photos.silhouettes) and not photos.masks_inexact
         return light.searches == self.turn and wanted and context.go_on()
 
     def cost(self, factors: CostFactors, config: MeshConfig) -> float:

@@ -29,7 +29,7 @@ def inaccurate(silhouettes: list[Silhouette]) -> list[Silhouette]:
 
 
 def context_of(silhouettes: list[Silhouette], found: bool) -> StepContext:
-    photos = PhotoSet([], silhouettes, masks_found=found)
+    photos = PhotoSet([], silhouettes, masks_inexact=found)
     return StepContext([], photos, MeshConfig(), 0.02, None, lambda: True)
 
 
@@ -52,7 +52,7 @@ def test_corrections_from_found_masks_fade_away_from_the_contours() -> None:
     toward = silhouettes[0].camera.center / np.linalg.norm(silhouettes[0].camera.center)
     along = np.abs(start.vertices @ toward) / RADIUS
     moved = []
-    for options in (ContourOptions(), ContourOptions(found_prior_weight=ContourOptions().prior_weight)):
+    for options in (ContourOptions(), ContourOptions(inexact_prior_weight=ContourOptions().prior_weight)):
         mesh = FitContours(options).run(start, LightEstimate(), context_of(silhouettes, True)).mesh
         moves = np.linalg.norm(mesh.vertices - start.vertices, axis=1)
         moved.append([moves[along > 0.8].mean(), moves[along < 0.1].mean()])

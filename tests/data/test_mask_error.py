@@ -1,0 +1,67 @@
+"""How far masks contradict each other, on spheres with exact, binary and rough masks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from mgsr.config.expert import DataOptions, MaskErrorOptions
+from mgsr.data.mask_error import mask_error
+from mgsr.data.readers import load_scene
+from mgsr.data.scene import Scene, View
+from mgsr.data.silhouettes import signed_distance
+from mgsr.export.scenes import write_scene
+from tests.cli.spheres import write_spheres
+from tests.optional import present
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """Provide three spheres with exact masks."""
+    return load_scene(write_spheres(tmp_path_factory.mktemp("capture") / "spheres", size=96, train=24))
+
+
+def with_errors(scene: Scene, deviation: float) -> list[View]:
+    """Return the training views with binary masks whose contours err by so many pixels, alike over about five."""
+    draw, views = np.random.default_rng(0), []
+    for view in scene.train:
+        distance = signed_distance(present(view.alpha) / 255)
+        noise = ndimage.gaussian_filter(draw.standard_normal(distance.shape), 5.0)
+        mask = distance + deviation * noise / noise.std() > 0
+        views.append(replace(view, alpha=(255 * mask).astype(np.uint8)))
+    return views
+
+
+def test_it_is_small_for_exact_and_binary_masks_and_grows_with_errors(scene: Scene) -> None:
+    exact, binary, half, whole = mask_error(scene.train), *(mask_error(with_errors(scene, d)) for d in (0, 0.5, 1))
+    assert abs(exact) < 0.05 and abs(binary) < 0.1
+    assert 0.1 < half < 0.5 * whole and 0.5 < whole < 1.5
+
+
+def test_it_shows_poses_that_do_not_fit(scene: Scene) -> None:
+    draw, views = np.random.default_rng(0), []
+    for view in scene.train:
+        K = view.camera.K.copy()
+        K[:2, 2] += draw.normal(0, 1.5, 2)
+        views.append(replace(view, camera=replace(view.camera, K=K)))
+    assert mask_error(views) > 0.6
+
+
+def test_no_contour_is_in_sight(scene: Scene) -> None:
+    full = [replace(view, alpha=np.full_like(present(view.alpha), 255)) for view in scene.train]
+    assert mask_error(full) == 0
+
+
+@pytest.mark.parametrize(("deviation", "inexact"), [(0.0, False), (1.0, True)])
+def test_a_scene_knows_of_its_masks(scene: Scene, tmp_path: Path, deviation: float, inexact: bool) -> None:
+    write_scene(tmp_path, replace(scene, train=with_errors(scene, deviation)), 1.0)
+    read = load_scene(tmp_path)
+    assert read.masks_inexact == inexact and read.mask_margin == (read.mask_error if inexact else 0)
+    assert read.mask_dissent == 0 and not read.masks_found
+    assert any("contours of the masks contradict each other" in note for note in read.notes) == inexact
+    tolerant = load_scene(tmp_path, options=DataOptions(mask_error=MaskErrorOptions(exact=5)))
+    assert not tolerant.masks_inexact and tolerant.mask_margin == 0

@@ -17,6 +17,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from benchmarks.evidence.masks import MaskRow
 from benchmarks.evidence.scene_sets import SetRow
 from benchmarks.evidence.surface_parts import PartRow
 from benchmarks.render_scenes import SHARED
@@ -36,7 +37,7 @@ from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline.evaluation import find_truth, surface_scores
 from mgsr.pipeline.run import run_scene
 
-SceneRow = TypeVar("SceneRow", SetRow, PartRow)
+SceneRow = TypeVar("SceneRow", SetRow, PartRow, MaskRow)
 
 
 def main() -> None:

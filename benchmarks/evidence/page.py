@@ -11,6 +11,7 @@ from benchmarks.evidence.ablations import ablation_section, choices_section
 from benchmarks.evidence.exposures import exposure_section
 from benchmarks.evidence.kernel_plot import write_kernel_plot
 from benchmarks.evidence.kernels import kernel_section
+from benchmarks.evidence.masks import mask_section
 from benchmarks.evidence.quality_over_time import PLOT, quality_section, write_quality_plot
 from benchmarks.evidence.relighting import relighting_section
 from benchmarks.evidence.result_files import IMAGES, Evidence, image, read_evidence
@@ -53,6 +54,7 @@ def evidence_page(evidence: Evidence) -> str:
         _need_section(evidence),
         length_section(evidence.all_rows),
         exposure_section(evidence.exposures),
+        mask_section(evidence.masks),
         start_section(evidence.start),
         finish_section(evidence.finish),
         relighting_section(evidence.relighting),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from benchmarks.evidence.exposures import EXPOSURES, ExposureRow
 from benchmarks.evidence.kernels import CHOICES, KERNELS, KernelRow, read_kernels
+from benchmarks.evidence.masks import MASKS, MaskRow
 from benchmarks.evidence.quality_over_time import QUALITY, QualityRow
 from benchmarks.evidence.relighting import RELIGHTING, RelightingRow
 from benchmarks.evidence.scene_sets import SETS, SetRow
@@ -50,6 +51,7 @@ class Evidence:
     finish: list[PartRow] = field(default_factory=list)
     relighting: list[RelightingRow] = field(default_factory=list)
     quality: list[QualityRow] = field(default_factory=list)
+    masks: list[MaskRow] = field(default_factory=list)
 
     @property
     def all_rows(self) -> list[Row]:
@@ -71,9 +73,9 @@ def read_evidence(results: Path) -> Evidence:
     sets = read_csv(results / SETS, SetRow)
     start, finish = (read_csv(results / name, PartRow) for name in (START_PARTS, FINISH_PARTS))
     relighting = read_csv(results / RELIGHTING, RelightingRow)
-    quality = read_csv(results / QUALITY, QualityRow)
+    quality, masks = read_csv(results / QUALITY, QualityRow), read_csv(results / MASKS, MaskRow)
     return Evidence(
-        newest, curves, scenes, kernels, exposures, behind, choices, sets, start, finish, relighting, quality
+        newest, curves, scenes, kernels, exposures, behind, choices, sets, start, finish, relighting, quality, masks
     )
 
 

@@ -7,7 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from benchmarks.evidence.comparing import compare, plain_runs, seed_spread, verdict
 from benchmarks.evidence.exposures import (
@@ -17,10 +19,12 @@ from benchmarks.evidence.exposures import (
     ExposureRow,
     exposure_section,
 )
+from benchmarks.evidence.masks import BINARY, EXACT, ROUGH, MaskRow, mask_section
 from benchmarks.evidence.page import PAGE, evidence_page, write_evidence
 from benchmarks.evidence.result_files import IMAGES, Evidence, SceneFacts, read_evidence
 from benchmarks.evidence.scene_sets import JUDGING, TUNING, SetRow, sets_section
 from benchmarks.evidence.surface_parts import ALL, PartRow, finish_section, start_section
+from benchmarks.masks import replace_masks
 from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.results import Curve, Row, keep_rows, write_rows
 from tests.bench.samples import sample_row, sample_rows
@@ -217,3 +221,28 @@ def test_what_differing_exposures_cost(tmp_path: Path) -> None:
     text = exposure_section(rows)
     assert "cost 2.50 dB without correction, and 0.10 dB with it" in text and "standard deviation 0.3." in text
     assert exposure_section([]) == ""
+
+
+def test_what_masks_cost(tmp_path: Path) -> None:
+    rows = [
+        MaskRow("apple", "tuning", masks, error, chamfer, 5.0, 30.0, "standard", "abc")
+        for masks, error, chamfer in ((EXACT, 0.01, 1.5), (BINARY, 0.02, 2.0), (ROUGH, 0.9, 4.0))
+    ]
+    write_csv(tmp_path / "masks.csv", MaskRow, rows, digits=5)
+    assert read_csv(tmp_path / "masks.csv", MaskRow) == rows
+    assert "| apple | tuning | rough | 0.90 | 4.00 | 5.0 | 30.00 |" in mask_section(rows)
+    assert mask_section([]) == ""
+
+
+def test_masks_are_replaced_by_worse_ones(tmp_path: Path) -> None:
+    y, x = np.mgrid[:64, :64] + 0.5
+    share = np.clip(20.5 - np.hypot(x - 32, y - 32), 0, 1)
+    (tmp_path / "train").mkdir()
+    path, errors = tmp_path / "train" / "r_0.png", []
+    for deviation in (0.0, 1.0):
+        Image.fromarray(np.dstack([np.full((64, 64, 3), 99.0), 255 * share]).astype(np.uint8)).save(path)
+        replace_masks(tmp_path, deviation, seed=5)
+        pixels = np.array(Image.open(path))
+        assert (pixels[..., :3] == 99).all() and set(np.unique(pixels[..., 3])) == {0, 255}
+        errors.append(((pixels[..., 3] > 127) != (share >= 0.5)).sum())
+    assert errors[0] == 0 and errors[1] > 40

@@ -23,6 +23,7 @@ from benchmarks.scene_scores import find, replace_rows
 from benchmarks.scene_sets import SCENES, BenchmarkScene
 from mgsr.bench.machine import program_commit
 from mgsr.config import make_config
+from mgsr.data.mask_error import mask_error
 from mgsr.data.readers import load_scene
 from mgsr.data.silhouettes import signed_distance
 from mgsr.pipeline.run import run_scene
@@ -66,7 +67,7 @@ def measured(scene: BenchmarkScene, path: Path, masks: str, runs: Path, preset: 
         scene=scene.name,
         set=scene.set.value,
         masks=masks,
-        mask_error=load_scene(capture).mask_error,
+        mask_error=mask_error(load_scene(capture).train),
         chamfer=1000 * report["gt"]["chamfer"],
         normal_error=report["gt"]["normal_error"],
         psnr=report["psnr_test"],

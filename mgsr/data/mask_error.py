@@ -7,15 +7,30 @@ it cuts back what the others show.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from mgsr.config.expert import MaskErrorOptions
 from mgsr.data.hull import Hull, carve, signed_field
-from mgsr.data.scene import View, some_of
+from mgsr.data.scene import Scene, View, some_of
 from mgsr.data.silhouettes import Silhouette, view_silhouettes
 from mgsr.data.valid_mask import valid_inside
 from mgsr.parallel import map_ahead
+
+
+def with_mask_error(scene: Scene) -> Scene:
+    """Return the scene with the error of its given masks, and a note if it is large; wrong poses may cause it, too."""
+    if not scene.masked or scene.masks_found:
+        return scene
+    measured = replace(scene, mask_error=mask_error(scene.train, scene.options.mask_error))
+    if not measured.masks_inexact:
+        return measured
+    note = (
+        f"the contours of the masks contradict each other by {measured.mask_error:.1f} pixels in the median, because "
+        "the masks or the poses are inexact; the surface follows them less closely"
+    )
+    return replace(measured, notes=(*scene.notes, note))
 
 
 def mask_error(views: Sequence[View], options: MaskErrorOptions = MaskErrorOptions()) -> float:
@@ -29,14 +44,6 @@ def mask_error(views: Sequence[View], options: MaskErrorOptions = MaskErrorOptio
         list(map_ahead(lambda each: _gaps(each, silhouettes, hull, options), some_of(silhouettes, options.views), None))
     )
     return float(np.median(gaps)) if len(gaps) else 0.0
-
-
-def note_of_error(error: float) -> str:
-    """Return a note on masks with an error in pixels; the poses may be the cause as well as the masks."""
-    return (
-        f"the contours of the masks contradict each other by {error:.1f} pixels in the median, because the masks or "
-        "the poses are inexact; the surface follows them less closely"
-    )
 
 
 def _gaps(

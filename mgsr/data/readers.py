@@ -19,7 +19,6 @@ from mgsr.data.files import IMAGE_SUFFIXES, view_names
 from mgsr.data.find_cameras import with_cameras
 from mgsr.data.find_scene import FEWEST_PHOTOS, FoundScene, find_scene, scene_around
 from mgsr.data.loading import LoadedView, LoadProgress, load_views
-from mgsr.data.mask_error import mask_error, note_of_error
 from mgsr.data.mask_files import MaskIndex
 from mgsr.data.mask_use import MaskUse, require_plausible_ball
 from mgsr.data.normalise import normalisation
@@ -116,39 +115,24 @@ def load_capture(
     ground = None
     if place is not None and place.ground is not None and silhouettes:
         ground = frame.inverse.plane_to_user(place.ground)
-    scene_views = [_to_scene(view, frame) for view in train_views]
-    found_before = place is not None and bool(silhouettes)
-    error = mask_error(scene_views, options.mask_error) if silhouettes and not found_before else 0.0
-    rough = (note_of_error(error),) if error > options.mask_error.exact else ()
     few = note_of_few_views(train_views, frame.offset, bool(silhouettes), options.view_count)
     assert found.kind is not None
     return Scene(
         name=_stem(path) if path.is_file() else found.name,
         root=found.folder.root,
         format=found.kind.name,
-        train=scene_views,
+        train=[_to_scene(view, frame) for view in train_views],
         test=[_to_scene(view, frame) for view in views.test],
         points=_points_to_scene(capture, frame),
         user_from_scene=frame,
-        notes=(
-            *found.notes,
-            *capture.notes,
-            *lost,
-            *unused,
-            *views.notes,
-            *odd,
-            *rough,
-            *no_place,
-            *((few,) if few else ()),
-        ),
+        notes=(*found.notes, *capture.notes, *lost, *unused, *views.notes, *odd, *no_place, *((few,) if few else ())),
         warning=few,
         ignoring=views.ignoring,
         source=path,
         read_with=config,
         options=options,
         ground=ground,
-        masks_found=found_before,
-        mask_error=error,
+        masks_found=place is not None and bool(silhouettes),
         object_place=place,
     )
 

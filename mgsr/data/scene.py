@@ -147,7 +147,8 @@ class Scene:
     ground [4]: the plane on which a found object stands, None if it is unknown. It holds the points x with
     ground[:3] . x + ground[3] = 0; its unit normal points up.
     masks_found: whether the masks are those of a found object.
-    mask_error: the median distance, in pixels, of given masks' contours to those of their hull (see `mask_error.py`).
+    mask_error: the median distance, in pixels, of given masks' contours to those of their hull; 0 until it is measured
+    by `with_mask_error`.
     object_place: the object's place according to the capture, None if the capture gives none.
     """
 

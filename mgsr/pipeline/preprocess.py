@@ -17,6 +17,7 @@ from mgsr.data.exposure import with_exposures
 from mgsr.data.find_cameras import with_cameras
 from mgsr.data.find_scene import FoundScene
 from mgsr.data.found_cameras import CameraFolder
+from mgsr.data.mask_error import with_mask_error
 from mgsr.data.masks import with_masks
 from mgsr.data.object_place import ObjectPlace
 from mgsr.data.object_scene import with_object
@@ -74,6 +75,7 @@ def take_scene(
             scene = load_capture(found, config.data, partial(_tell_loading, step), config.expert.data)
     if out is not None:
         result_files.clear_reports(out)
+    scene = with_mask_error(scene)
     for text in (scene_line(scene), *scene.notes, *origin_notes(scene.user_from_scene, config.output.scale)):
         step.progress(Event("load", text))
     return check_scene(scene, config, step)

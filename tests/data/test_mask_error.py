@@ -10,7 +10,7 @@ import pytest
 from scipy import ndimage
 
 from mgsr.config.expert import DataOptions, MaskErrorOptions
-from mgsr.data.mask_error import mask_error
+from mgsr.data.mask_error import mask_error, with_mask_error
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, View
 from mgsr.data.silhouettes import signed_distance
@@ -59,9 +59,9 @@ def test_no_contour_is_in_sight(scene: Scene) -> None:
 @pytest.mark.parametrize(("deviation", "inexact"), [(0.0, False), (1.0, True)])
 def test_a_scene_knows_of_its_masks(scene: Scene, tmp_path: Path, deviation: float, inexact: bool) -> None:
     write_scene(tmp_path, replace(scene, train=with_errors(scene, deviation)), 1.0)
-    read = load_scene(tmp_path)
+    read = with_mask_error(load_scene(tmp_path))
     assert read.masks_inexact == inexact and read.mask_margin == (read.mask_error if inexact else 0)
     assert read.mask_dissent == 0 and not read.masks_found
     assert any("contours of the masks contradict each other" in note for note in read.notes) == inexact
-    tolerant = load_scene(tmp_path, options=DataOptions(mask_error=MaskErrorOptions(exact=5)))
+    tolerant = with_mask_error(load_scene(tmp_path, options=DataOptions(mask_error=MaskErrorOptions(exact=5))))
     assert not tolerant.masks_inexact and tolerant.mask_margin == 0

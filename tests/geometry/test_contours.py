@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 from functools import cache
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from mgsr.data.silhouettes import Silhouette, signed_distance
 from mgsr.geometry.contours import contour_gaps, find_contour, fit_contours
@@ -40,11 +42,17 @@ def test_outline_lies_on_the_rays_that_touch_the_ball() -> None:
     assert np.abs(passing - RADIUS).mean() < 0.08 * pixel
 
 
-def test_contours_of_binary_masks_err_by_a_sixth_of_a_pixel() -> None:
+@pytest.mark.parametrize("compressed", [False, True])
+def test_contours_of_binary_masks_err_by_a_sixth_of_a_pixel(compressed: bool) -> None:
     """Check the distances of binary masks against those of the covered shares, which are exact."""
     errors = []
     for exact in covered(RADIUS, 6):
-        binary = signed_distance((exact.distance > 0).astype(np.float32))
+        mask = (255 * (exact.distance > 0)).astype(np.uint8)
+        if compressed:
+            file = io.BytesIO()
+            Image.fromarray(mask).save(file, "JPEG", quality=80)
+            mask = np.asarray(Image.open(file))
+        binary = signed_distance(mask / np.float32(255))
         near = np.abs(exact.distance) < 0.4
         errors.append((binary - exact.distance)[near])
         assert len(find_contour(Silhouette(exact.camera, binary)).points) > 0.8 * near.sum()

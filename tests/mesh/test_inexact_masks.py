@@ -35,7 +35,7 @@ def context_of(silhouettes: list[Silhouette], found: bool) -> StepContext:
 
 def test_contours_of_found_masks_leave_fewer_bumps() -> None:
     """Check the normals of a ball that is fitted to inaccurate contours; the ball gives its true normals."""
-    silhouettes, start = inaccurate(covered(RADIUS)), as_mesh(ball(RADIUS - 0.01))
+    silhouettes, start = inaccurate(covered(RADIUS, 24)), as_mesh(ball(RADIUS - 0.01))
     errors = {}
     for found in (False, True):
         mesh = FitContours().run(start, LightEstimate(), context_of(silhouettes, found)).mesh
@@ -48,7 +48,7 @@ def test_contours_of_found_masks_leave_fewer_bumps() -> None:
 
 def test_corrections_from_found_masks_fade_away_from_the_contours() -> None:
     """Check how far a ball moves at the two points that one camera sees farthest from its contour."""
-    silhouettes, start = covered(RADIUS)[:1], as_mesh(ball(RADIUS - 0.01))
+    silhouettes, start = covered(RADIUS, 24)[:1], as_mesh(ball(RADIUS - 0.01))
     toward = silhouettes[0].camera.center / np.linalg.norm(silhouettes[0].camera.center)
     along = np.abs(start.vertices @ toward) / RADIUS
     moved = []

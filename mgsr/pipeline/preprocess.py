@@ -105,7 +105,8 @@ def load_again(path: Path, out: Path, config: Config) -> Scene:
     Raises SceneError if the scene can't be used, and if those cameras are missing.
     """
     search = CameraSearch(folder=out / CAMERAS, known_only=True, seed=config.seed)
-    return without_flawed(load_scene(path, config.data, search=search, options=config.expert.data), config)
+    scene = load_scene(path, config.data, search=search, options=config.expert.data)
+    return without_flawed(with_mask_error(scene), config)
 
 
 def as_read(scene: Scene, config: Config) -> Config:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from mgsr.config import Config
-from mgsr.data.mask_error import with_mask_error
 from mgsr.data.scene import Scene
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.device import pick_device
@@ -38,7 +37,7 @@ def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> R
     """
     require_packages(config.output)
     chosen = pick_device(device)
-    scene = with_mask_error(with_found_object(out, at_known_exposures(out, load_again(path, out, config))))
+    scene = with_found_object(out, at_known_exposures(out, load_again(path, out, config)))
     model = read_models(out, scene.user_from_scene).to(chosen.torch)
     # The run compared its surface with the starting surface, which the same seed reproduces.
     start_surface = starting_points(scene, 1, config.seed, expert=config.expert).surface if scene.masked else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,10 +11,10 @@ import pytest
 from scipy import ndimage
 
 from mgsr.config.expert import DataOptions, MaskErrorOptions
-from mgsr.data.mask_error import mask_error, with_mask_error
+from mgsr.data.mask_error import incomplete_masks, mask_error, with_mask_error
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, View
-from mgsr.data.silhouettes import signed_distance
+from mgsr.data.silhouettes import Silhouette, signed_distance, view_silhouettes
 from mgsr.export.scenes import write_scene
 from tests.cli.spheres import write_spheres
 from tests.optional import present
@@ -65,3 +66,36 @@ def test_a_scene_knows_of_its_masks(scene: Scene, tmp_path: Path, deviation: flo
     assert any("contours of the masks contradict each other" in note for note in read.notes) == inexact
     tolerant = with_mask_error(load_scene(tmp_path, options=DataOptions(mask_error=MaskErrorOptions(exact=5))))
     assert not tolerant.masks_inexact and tolerant.mask_margin == 0
+
+
+def with_bites(scene: Scene, numbers: Sequence[int]) -> Scene:
+    """Return the scene with a disc cut out of some masks, at the top of the object."""
+    train = list(scene.train)
+    for number in numbers:
+        mask = present(train[number].alpha).copy()
+        rows, columns = np.nonzero(mask > 127)
+        y, x = np.mgrid[: mask.shape[0], : mask.shape[1]]
+        mask[np.hypot(y - rows.min(), x - np.median(columns[rows == rows.min()])) < 14] = 0
+        train[number] = replace(train[number], alpha=mask)
+    return replace(scene, train=train)
+
+
+def silhouettes_of(scene: Scene) -> list[Silhouette]:
+    return view_silhouettes(scene.train, MaskErrorOptions().contour_side)
+
+
+def test_masks_that_miss_a_part_are_left_out(scene: Scene) -> None:
+    bitten = with_bites(scene, (4, 15))
+    assert incomplete_masks(silhouettes_of(scene)) == [] and incomplete_masks(silhouettes_of(bitten)) == [4, 15]
+    measured = with_mask_error(bitten)
+    names = [bitten.train[number].name for number in (4, 15)]
+    assert [view.name for view in measured.train] == [view.name for view in scene.train if view.name not in names]
+    assert any(all(repr(name) in note for name in names) and "are skipped" in note for note in measured.notes)
+
+
+def test_rough_masks_are_not_incomplete(scene: Scene) -> None:
+    assert incomplete_masks(silhouettes_of(replace(scene, train=with_errors(scene, 1.0)))) == []
+
+
+def test_none_is_left_out_where_many_miss_a_part(scene: Scene) -> None:
+    assert incomplete_masks(silhouettes_of(with_bites(scene, range(0, 24, 3)))) == []

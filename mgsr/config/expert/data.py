@@ -83,6 +83,12 @@ class MaskErrorOptions(Options):
     pixels: Count = 50  # most pixels of a contour that are looked at
     steps: Count = 25  # points of a ray near the hull that are looked at
     exact: Positive = 0.3  # pixels; largest error of exact masks; more means inexact masks
+    far: Positive = 3.0  # pixels; distance from the hull at which a contour shows that a mask misses something
+    far_errors: Positive = 5.0  # the same in multiples of the median error; the larger of both counts
+    least_cut: Count = 3  # least number of far pixels because of an incomplete mask
+    concentrated: Positive = 6.0  # the same in multiples of the mean over all masks
+    min_views: Pair = 6  # least number of views with complete masks
+    max_incomplete: Share = 0.15  # largest share of incomplete masks; above it, it is unknown which masks are right
 
 
 @dataclass(frozen=True)

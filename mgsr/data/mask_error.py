@@ -125,7 +125,8 @@ def _gaps(
         return points
 
     ray, middle, reach = np.arange(len(rows)), camera.cam_from_world[2, 3], np.sqrt(3) * options.half
-    depths = np.arange(max(middle - reach, hull.voxel), middle + reach, hull.voxel)[:, None].repeat(len(rows), 1)
+    first = max(middle - reach, hull.voxel)
+    depths = np.arange(first, max(middle + reach, first + hull.voxel), hull.voxel)[:, None].repeat(len(rows), 1)
     coarse = hull.values(along(depths)).reshape(depths.shape)
     around = depths[coarse.argmax(axis=0), ray]
     depths = around + hull.voxel * np.linspace(-1.5, 1.5, options.steps)[:, None]

@@ -93,6 +93,13 @@ def test_masks_that_miss_a_part_are_left_out(scene: Scene) -> None:
     assert any(all(repr(name) in note for name in names) and "are skipped" in note for note in measured.notes)
 
 
+def test_a_camera_that_looks_away_contradicts_all_others(scene: Scene) -> None:
+    """Check that a camera with the object behind it is measured, too. The reading leaves such views out."""
+    pose = np.diag([-1.0, 1, -1, 1]) @ scene.train[3].camera.cam_from_world
+    away = replace(scene.train[3], camera=replace(scene.train[3].camera, cam_from_world=pose))
+    assert mask_error([*scene.train[:3], away, *scene.train[4:]]) > 3
+
+
 def test_rough_masks_are_not_incomplete(scene: Scene) -> None:
     assert incomplete_masks(silhouettes_of(replace(scene, train=with_errors(scene, 1.0)))) == []
 

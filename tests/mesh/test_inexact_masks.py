@@ -1,4 +1,4 @@
-"""Masks of a found object, whose contours are less accurate than those of given masks."""
+"""Inexact masks, such as those of a found object, whose contours are less accurate than those of exact masks."""
 
 from __future__ import annotations
 

@@ -84,9 +84,9 @@ class MaskErrorOptions(Options):
     steps: Count = 25  # points of a ray near the hull that are looked at
     exact: Positive = 0.3  # pixels; largest error of exact masks; more means inexact masks
     far: Positive = 3.0  # pixels; distance from the hull at which a contour shows that a mask misses something
-    far_errors: Positive = 5.0  # the same in multiples of the median error; the larger of both counts
-    least_cut: Count = 3  # least number of far pixels because of an incomplete mask
-    concentrated: Positive = 6.0  # the same in multiples of the mean over all masks
+    far_errors: Positive = 5.0  # that distance in multiples of the median error; the larger distance counts
+    least_cut: Count = 3  # least number of such pixels that an incomplete mask excludes
+    concentrated: Positive = 6.0  # that number in multiples of the mean over all masks; the larger number counts
     min_views: Pair = 6  # least number of views with complete masks
     max_incomplete: Share = 0.15  # largest share of incomplete masks; above it, it is unknown which masks are right
 

@@ -20,7 +20,7 @@ FLASH_TURN, ONLY_TURN = 22.0, 13.0
 class PhotometricRefinement(MeshStep):
     """Move the surface to where the photographs agree, after the shape from shading of the same turn.
 
-    It needs masks, because their contours keep the surface in place. The contours of a found object's masks are not
+    It needs masks, because their contours keep the surface in place. The contours of inexact masks are not
     accurate enough for that.
     """
 

@@ -15,6 +15,7 @@ from mgsr.native import (
     _mirrored,
     _stereo,
     _surfels,
+    _terms,
 )
 
 FAMILIES: tuple[ModuleType, ...] = (
@@ -27,6 +28,7 @@ FAMILIES: tuple[ModuleType, ...] = (
     _stereo,
     _fusion,
     _mirrored,
+    _terms,
 )
 
 

@@ -14,9 +14,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from mgsr.native import _terms
 from mgsr.native.cuda.launcher import launcher_for
 from mgsr.native.cuda.terms import Image, Part, Region, Sums, TermKernels
-from mgsr.ops.arrays import once_differentiable
+from mgsr.ops.arrays import once_differentiable, plain
 
 
 @dataclass(slots=True)
@@ -120,14 +121,11 @@ def _values(terms: Sequence[Term]) -> tuple[TermKernels | None, Tensor, Any]:
 
 def _added_up(image: Image, scales: list[float]) -> Tensor:
     """Return the gradient [...] of an image: the sum of its parts, each times the scale of its term."""
-    gradient = None
-    for part in image.parts:
-        assert part.region is None, "on the CPU, gradients are whole images"
-        scale = part.factor * scales[part.term]
-        slopes = part.slopes if part.slopes.shape == image.shape else part.slopes.unsqueeze(-1).expand(image.shape)
-        if gradient is None:
-            gradient = slopes * scale
-        else:
-            gradient.add_(slopes, alpha=scale)
-    assert gradient is not None
+    assert all(part.region is None for part in image.parts), "on the CPU, slopes cover whole images"
+    gradient = torch.empty(image.shape)
+    _terms.gradient(
+        [plain(part.slopes) for part in image.parts],
+        [part.factor * scales[part.term] for part in image.parts],
+        gradient,
+    )
     return gradient

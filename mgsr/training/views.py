@@ -62,7 +62,7 @@ class TrainingView:
             return Target(self.image / 255, None, self.camera, invalid=self.invalid, clipped=clipped)
         if clipped is not None:
             clipped &= (self.mask > 127)[..., None]
-        color, alpha, off_edge = composite(self.image, self.mask, behind, self.off_edge, self.region)
+        color, alpha, off_edge = composite(self.image, self.mask, behind, self.off_edge)
         return Target(color, alpha, self.camera, self.region, off_edge, self.off_edge_sum, self.invalid, clipped)
 
 

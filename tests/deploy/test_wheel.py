@@ -11,7 +11,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-FAMILIES = ("adam", "environment_map", "fusion", "gaussians", "harmonics", "image", "mirrored", "stereo", "surfels")
+FAMILIES = (
+    *("adam", "environment_map", "fusion", "gaussians", "harmonics", "image", "mirrored", "stereo", "surfels"),
+    "terms",
+)
 
 
 @pytest.fixture(scope="module")

@@ -25,6 +25,7 @@ from mgsr.native import (
     _mirrored,
     _stereo,
     _surfels,
+    _terms,
     structs,
 )
 from mgsr.native.runtime import FAMILIES
@@ -163,6 +164,28 @@ def images() -> list[Call]:
     ]
 
 
+def terms() -> list[Call]:
+    in_bytes, alpha, color = torch.zeros(TRIPLE, dtype=torch.uint8), torch.rand(PLANE), torch.rand(TRIPLE)
+    photograph = structs.ImageInBytes(image=in_bytes, mask=in_bytes[..., 0].contiguous(), off_edge=alpha > 0.5)
+    out = structs.CompositedImage(color=torch.empty(TRIPLE), alpha=torch.empty(PLANE), weights=torch.empty(PLANE))
+    difference = structs.WeightedDifference(a=alpha, b=alpha, first=alpha, second=alpha, offset=0.5)
+    silhouettes = {"alpha": alpha, "mask": alpha, "weights": alpha, "entropy": False, "v_alpha": torch.empty(PLANE)}
+    maps = torch.rand(2, 4, 4, 3)
+    return [
+        Call(
+            _terms.composite,
+            {"photograph": photograph, "background": torch.rand(3), "out": out},
+            ("out.color", "out.alpha", "out.weights"),
+        ),
+        Call(_terms.covered, {"alpha": alpha, "mask": alpha, "covered": torch.empty(PLANE)}, ("covered",)),
+        Call(_terms.silhouette, silhouettes, ("v_alpha",)),
+        Call(_terms.squares, {"difference": difference, "differences": torch.empty(PLANE)}, ("differences",)),
+        Call(_terms.product, {"weight": alpha, "color": color, "v_weight": torch.empty(PLANE)}, ("v_weight",)),
+        Call(_terms.steps, {"maps": maps, "v_maps": torch.empty_like(maps)}, ("v_maps",)),
+        Call(_terms.gradient, {"slopes": [alpha, color], "scales": [1.0, 2.0], "out": torch.empty(TRIPLE)}, ("out",)),
+    ]
+
+
 def surfaces() -> list[Call]:
     def planes() -> structs.StereoPlanes:
         return structs.StereoPlanes(depth=np.ones(PLANE, np.float32), normal=np.ones(TRIPLE, np.float32))
@@ -204,7 +227,7 @@ def paths(name: str, struct: Any) -> tuple[str, ...]:
     return tuple(f"{name}.{field}" for field in struct._fields)
 
 
-@pytest.mark.parametrize("calls", [surfels, gaussians, colors, images, surfaces])
+@pytest.mark.parametrize("calls", [surfels, gaussians, colors, images, terms, surfaces])
 def test_an_output_of_another_kind_is_refused(calls: Callable[[], list[Call]]) -> None:
     """Check that no kernel writes to a copy: another dtype, layout, type or size is an error that names the output."""
     for call in calls():

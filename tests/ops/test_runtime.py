@@ -5,9 +5,32 @@ from __future__ import annotations
 import pytest
 
 from mgsr.errors import ConfigError
-from mgsr.native import _adam, _environment_map, _fusion, _harmonics, _image, _mirrored, _stereo, runtime
+from mgsr.native import (
+    _adam,
+    _environment_map,
+    _fusion,
+    _gaussians,
+    _harmonics,
+    _image,
+    _mirrored,
+    _stereo,
+    _surfels,
+    _terms,
+    runtime,
+)
 
-FAMILIES = (_image, _harmonics, _adam, _environment_map, _stereo, _fusion, _mirrored)
+FAMILIES = (
+    _adam,
+    _environment_map,
+    _fusion,
+    _gaussians,
+    _harmonics,
+    _image,
+    _mirrored,
+    _stereo,
+    _surfels,
+    _terms,
+)
 pytestmark = pytest.mark.usefixtures("kernel_settings_come_back")
 
 

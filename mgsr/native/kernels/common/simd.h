@@ -160,6 +160,15 @@ inline float sum(vfloat v) {
   return s[0];
 }
 
+inline double sum_floats(const float* values, int n) {
+  vfloat lanes = {};
+  int i = 0;
+  for (; i + kWidth <= n; i += kWidth) lanes += load(values + i);
+  double total = sum(lanes);
+  for (; i < n; ++i) total += values[i];
+  return total;
+}
+
 // Adds the sum of the lanes of v[k] to sums[k], for Count vectors. `sums` must have room for Count rounded up to 4, and
 // the padding is unspecified. Lanes are added in a fixed tree.
 template <int Count>

@@ -12,6 +12,7 @@ from mgsr.native import (
     _gaussians,
     _harmonics,
     _image,
+    _lights,
     _mirrored,
     _stereo,
     _surfels,
@@ -29,6 +30,7 @@ FAMILIES: tuple[ModuleType, ...] = (
     _fusion,
     _mirrored,
     _terms,
+    _lights,
 )
 
 

@@ -1,15 +1,17 @@
 """Adds light to rendered images before they are compared: reflected light, and flash light.
 
 Forward and backward functions work outside the graph, on contiguous tensors. launcher: of the GPU's kernels; None on
-the CPU. On the CPU they go channel by channel, as torch broadcasts and sums an axis of length three several times more
-slowly.
+the CPU.
 """
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import torch
 from torch import Tensor
 
+from mgsr.native import _lights
 from mgsr.native.cuda.launcher import Launcher
 from mgsr.native.cuda.lights import LightKernels
 from mgsr.native.structs import UnlitGradients
@@ -27,14 +29,7 @@ def apply_shading(
     only on the object. Where the object is nearly black, the result may be below 0.
     """
     image = torch.empty_like(unlit)
-    if launcher is not None:
-        LightKernels(launcher).light_up(unlit, alpha, background, shading, OFFSET, image)
-        return image
-    lost = shading - 1
-    for channel in range(3):
-        # The object's light^(1/2.4) up to a factor: subtract the background, and add the offset.
-        own = unlit[..., channel] + alpha * (background[channel] + OFFSET) - background[channel]
-        torch.addcmul(unlit[..., channel], lost, own, out=image[..., channel])
+    _kernels(launcher).light_up(unlit, alpha, background, shading, OFFSET, image)
     return image
 
 
@@ -45,16 +40,9 @@ def apply_shading_vjp(
 
     background [3]; shading [H,W]. v_alpha [H,W]: a gradient to add to that of alpha; None: 0.
     """
-    v_unlit = torch.empty_like(v_image)
-    if launcher is not None:
-        total = torch.empty_like(shading)
-        out = UnlitGradients(v_unlit=v_unlit, v_alpha=total)
-        LightKernels(launcher).light_up_vjp(v_image, background, shading, OFFSET, v_alpha, out)
-        return v_unlit, total
-    for channel in range(3):
-        torch.mul(v_image[..., channel], shading, out=v_unlit[..., channel])
-    own = (shading - 1) * (v_image @ (background + OFFSET))
-    return v_unlit, own if v_alpha is None else own + v_alpha
+    out = UnlitGradients(v_unlit=torch.empty_like(v_image), v_alpha=torch.empty_like(shading))
+    _kernels(launcher).light_up_vjp(v_image, background, shading, OFFSET, v_alpha, out)
+    return out.v_unlit, out.v_alpha
 
 
 def with_reflection(
@@ -64,15 +52,8 @@ def with_reflection(
 
     weight [H,W]; transmitted, own, environment [H,W,3]. One of own and environment may be None.
     """
-    if launcher is not None:
-        color, reflected = torch.empty_like(transmitted), torch.empty_like(transmitted)
-        LightKernels(launcher).add_reflection(transmitted, weight, own, environment, color, reflected)
-        return color, reflected
-    parts = [each for each in (own, environment) if each is not None]
-    reflected = parts[0] + parts[1] if len(parts) == 2 else parts[0].detach()  # a new tensor for the graph
-    color = torch.empty_like(transmitted)
-    for channel in range(3):
-        torch.addcmul(transmitted[..., channel], weight, reflected[..., channel], out=color[..., channel])
+    color, reflected = torch.empty_like(transmitted), torch.empty_like(transmitted)
+    _kernels(launcher).add_reflection(transmitted, weight, own, environment, color, reflected)
     return color, reflected
 
 
@@ -87,17 +68,12 @@ def with_reflection_vjp(
 
     reflected [H,W,3] and weight [H,W]: as in `with_reflection`. before: gradients to add to the first three.
     """
-    if launcher is not None:
-        v_transmitted, v_own, v_environment = (torch.empty_like(v_color) for _ in range(3))
-        v_weight = torch.empty_like(weight)
-        out = (v_transmitted, v_weight, v_own, v_environment)
-        LightKernels(launcher).add_reflection_vjp(v_color, reflected, weight, before, out)
-        return out
-    v_environment = torch.empty_like(v_color)
-    for channel in range(3):
-        torch.mul(v_color[..., channel], weight, out=v_environment[..., channel])
-    own = (v_color, (v_color * reflected) @ torch.ones(3), v_environment)
-    v_transmitted, v_weight, v_own = (
-        each if added is None else each + added for each, added in zip(own, before, strict=True)
-    )
-    return v_transmitted, v_weight, v_own, v_environment
+    v_transmitted, v_own, v_environment = (torch.empty_like(v_color) for _ in range(3))
+    out = (v_transmitted, torch.empty_like(weight), v_own, v_environment)
+    _kernels(launcher).add_reflection_vjp(v_color, reflected, weight, before, out)
+    return out
+
+
+def _kernels(launcher: Launcher | None) -> LightKernels | ModuleType:
+    """Return the kernels on a launcher, or those of the CPU."""
+    return _lights if launcher is None else LightKernels(launcher)

@@ -12,8 +12,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 FAMILIES = (
-    *("adam", "environment_map", "fusion", "gaussians", "harmonics", "image", "mirrored", "stereo", "surfels"),
-    "terms",
+    *("adam", "environment_map", "fusion", "gaussians", "harmonics", "image", "lights", "mirrored", "stereo"),
+    *("surfels", "terms"),
 )
 
 

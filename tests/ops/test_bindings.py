@@ -22,6 +22,7 @@ from mgsr.native import (
     _gaussians,
     _harmonics,
     _image,
+    _lights,
     _mirrored,
     _stereo,
     _surfels,
@@ -186,6 +187,23 @@ def terms() -> list[Call]:
     ]
 
 
+def lights() -> list[Call]:
+    color, plane, behind = torch.rand(TRIPLE), torch.rand(PLANE), torch.rand(3)
+    given = {"transmitted": color, "weight": plane, "own": color, "environment": color}
+    reflection = {**given, "color": torch.empty(TRIPLE), "reflected": torch.empty(TRIPLE)}
+    gradients = [torch.empty(TRIPLE), torch.empty(PLANE), torch.empty(TRIPLE), torch.empty(TRIPLE)]
+    before = {"v_color": color, "reflected": color, "weight": plane, "before": [color, plane, None]}
+    lit = {"unlit": color, "alpha": plane, "background": behind, "shading": plane, "offset": 0.055}
+    v_lit = {"v_image": color, "background": behind, "shading": plane, "offset": 0.055, "add_alpha": plane}
+    out = structs.UnlitGradients(v_unlit=torch.empty(TRIPLE), v_alpha=torch.empty(PLANE))
+    return [
+        Call(_lights.add_reflection, reflection, ("color", "reflected")),
+        Call(_lights.add_reflection_vjp, {**before, "out": gradients}, ()),
+        Call(_lights.light_up, {**lit, "image": torch.empty(TRIPLE)}, ("image",)),
+        Call(_lights.light_up_vjp, {**v_lit, "out": out}, ("out.v_unlit", "out.v_alpha")),
+    ]
+
+
 def surfaces() -> list[Call]:
     def planes() -> structs.StereoPlanes:
         return structs.StereoPlanes(depth=np.ones(PLANE, np.float32), normal=np.ones(TRIPLE, np.float32))
@@ -227,7 +245,7 @@ def paths(name: str, struct: Any) -> tuple[str, ...]:
     return tuple(f"{name}.{field}" for field in struct._fields)
 
 
-@pytest.mark.parametrize("calls", [surfels, gaussians, colors, images, terms, surfaces])
+@pytest.mark.parametrize("calls", [surfels, gaussians, colors, images, terms, lights, surfaces])
 def test_an_output_of_another_kind_is_refused(calls: Callable[[], list[Call]]) -> None:
     """Check that no kernel writes to a copy: another dtype, layout, type or size is an error that names the output."""
     for call in calls():

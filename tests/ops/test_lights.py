@@ -7,9 +7,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from mgsr.native import _lights
 from mgsr.native.cuda.launcher import launcher_for
 from mgsr.ops.lights import OFFSET, apply_shading, apply_shading_vjp, with_reflection, with_reflection_vjp
 from tests.cuda.machines import Machine, on_every_kernel
+from tests.ops.variants import ISAS, variant
 
 
 def random(*shapes: tuple[int, ...], seed: int = 0) -> list[Tensor]:
@@ -91,11 +93,32 @@ def test_paint_times_light_in_linear_light() -> None:
     on = (1 - alpha[..., None]) * behind
     even = alpha[..., None] * to_srgb(paint) + on
     expected = alpha[..., None] * to_srgb(paint * light[..., None]) + on
-    got = apply_shading(None, *(torch.from_numpy(each) for each in (even, alpha, behind, light ** (1 / 2.4))))
+    got = apply_shading(None, *(torch.from_numpy(each).float() for each in (even, alpha, behind, light ** (1 / 2.4))))
     # The curve's straight part near black, which the formula leaves out, is a thousandth off at most here.
     assert np.abs(got.numpy() - expected).max() < 2e-3
     bright = paint.min(axis=-1) * light > 0.0032
     assert np.abs(got.numpy() - expected)[bright].max() < 1e-6
+
+
+@pytest.mark.parametrize("isa", ISAS)
+def test_large_images_on_every_variant(isa: str) -> None:
+    """Check images of several tasks, whose size is no multiple of a vector."""
+    size = 41, 37
+    color, own, light, weight, alpha = random((*size, 3), (*size, 3), (*size, 3), size, size)
+    behind, lit = torch.tensor([0.2, 0.5, 0.9]), 0.2 + 0.8 * weight
+    with variant(_lights, isa):
+        reflecting, reflected = with_reflection(None, color, weight, own, light)
+        v_parts = with_reflection_vjp(None, color, reflected, weight, (None, None, None))
+        image = apply_shading(None, color, alpha, behind, lit)
+        v_unlit, v_alpha = apply_shading_vjp(None, color, behind, lit, None)
+    share = weight.double()[..., None]
+    assert_close(reflecting, color + share * (own.double() + light))
+    for ours, theirs in zip(v_parts, (color, (color * reflected).sum(-1), color * share, color * share), strict=True):
+        assert_close(ours, theirs.double())
+    lost = lit.double()[..., None] - 1
+    assert_close(image, color + lost * (color + alpha[..., None] * (behind + OFFSET) - behind))
+    assert_close(v_unlit, color * lit.double()[..., None])
+    assert_close(v_alpha, (lost * color * (behind + OFFSET)).sum(-1))
 
 
 def test_full_light_changes_nothing() -> None:

@@ -12,17 +12,20 @@ from torch.nn import functional
 
 from mgsr.data.camera import Camera
 from mgsr.errors import TensorError
+from mgsr.native import _terms
 from mgsr.ops.depth_normals import normal_agreement_term
 from mgsr.ops.image_loss import image_loss_term
 from mgsr.ops.pixels import composite, covered, product_term, silhouette_term, squares_term, steps_term
 from mgsr.ops.terms import Term, evaluate, scalar
 from mgsr.ops.tv import edge_aware_tv_term
-from tests.cuda.machines import Machine, on_every_kernel
+from tests.cuda.machines import PROCESSOR, Machine, on_every_kernel
+from tests.ops.variants import ISAS, variant
 from tests.oracles import depth_normals as normals_oracle
 from tests.oracles import image_loss as loss_oracle
 from tests.oracles import tv as tv_oracle
 
 HEIGHT, WIDTH = 19, 23
+LARGE = 151, 173  # more pixels than a task of the CPU's kernels takes, and no multiple of a vector
 
 
 def random(*shape: int, seed: int = 0) -> Tensor:
@@ -94,12 +97,13 @@ def test_products(machine: Machine) -> None:
     compare(machine, product_term, lambda w, c: (w[..., None] * c).mean(), *inputs)
 
 
+def steps_oracle(maps: Tensor) -> Tensor:
+    return maps.diff(dim=1).square().mean() + maps.diff(dim=2).square().mean()
+
+
 @on_every_kernel
 def test_steps_of_maps(machine: Machine) -> None:
-    def oracle(maps: Tensor) -> Tensor:
-        return maps.diff(dim=1).square().mean() + maps.diff(dim=2).square().mean()
-
-    compare(machine, steps_term, oracle, random(2, 5, 5, 3))
+    compare(machine, steps_term, steps_oracle, random(2, 5, 5, 3))
     with machine.running():
         assert float(steps_term(torch.ones(2, 1, 1, 3, device=machine.device))) == 0
 
@@ -207,6 +211,36 @@ def test_a_photograph_on_a_colour(machine: Machine) -> None:
     assert (color.cpu().double() - expected).abs().max() < 1e-6
     assert (alpha.cpu().double() - share).abs().max() < 1e-7
     assert weights is not None and torch.equal(weights.cpu(), off_edge.float())
+
+
+@pytest.mark.parametrize("isa", ISAS)
+def test_large_images_on_every_variant(isa: str) -> None:
+    a, b, mask = random(*LARGE), random(*LARGE, seed=1), some(*LARGE, seed=2)
+    color, behind = random(*LARGE, 3, seed=3), torch.tensor([0.2, 0.5, 0.9])
+    with variant(_terms, isa):
+        compare(PROCESSOR, lambda x: silhouette_term(x, mask, b), lambda x: ((x - mask) * b).abs().mean(), a)
+        compare(PROCESSOR, lambda x, y: squares_term(x, y), lambda x, y: (x - y).square().sum(), a, b)
+        compare(PROCESSOR, product_term, lambda w, c: (w[..., None] * c).mean(), a, color)
+        compare(PROCESSOR, steps_term, steps_oracle, random(2, 33, 33, 3))
+        assert torch.equal(covered(a, b), ((a > 0.5) & (b > 0.5)).float())
+        picture, opacity = (255 * color).byte(), (255 * a).byte()
+        got, _, _ = composite(picture, opacity, behind)
+    expected = behind + (picture / 255 - behind) * (opacity / 255)[..., None]
+    assert (got - expected).abs().max() < 1e-6
+
+
+def test_same_bytes_for_any_thread_count() -> None:
+    image, weight = random(*LARGE, 3), random(*LARGE, seed=1)
+    results = []
+    for threads in (1, 2, 5):
+        leaves = image.clone().requires_grad_(), weight.clone().requires_grad_()
+        with variant(_terms, threads=threads):
+            total = evaluate([product_term(leaves[1], leaves[0]), squares_term(leaves[0]), squares_term(leaves[1])])
+            total.sum().backward()
+        gradients = [leaf.grad for leaf in leaves if leaf.grad is not None]
+        results.append([total.detach(), *gradients])
+    for other in results[1:]:
+        assert len(other) == 3 and all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
 
 
 def test_wrong_shapes_are_named() -> None:

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <vector>
 
+#include "kernels/common/channels.h"
 #include "kernels/common/parallel.h"
 #include "kernels/common/simd.h"
 
@@ -14,7 +15,6 @@ namespace MGSR_ISA {
 namespace {
 
 constexpr int kChunk = 8192;       // pixels or numbers per task
-constexpr int kStrip = 512;        // pixels whose values per channel are held at a time
 constexpr int kMostChannels = 16;  // of an image whose slopes hold for all channels
 constexpr float kLeast = 1e-4f;    // the least alpha and 1 - alpha in a cross entropy
 
@@ -26,12 +26,6 @@ double sum_chunks(int64_t n, const Body& body) {
   double total = 0;
   for (const double part : parts) total += part;
   return total;
-}
-
-// Repeats each of n values for every channel.
-inline void repeat(const float* values, int n, int channels, float* out) {
-  for (int i = 0; i < n; ++i)
-    for (int c = 0; c < channels; ++c) out[i * channels + c] = values[i];
 }
 
 void target(const TargetParams& p) {

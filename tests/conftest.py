@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Iterator
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+
+# Each worker of pytest-xdist keeps to one core, before libraries count the cores: threads of several workers that share
+# all cores spend much of their time waiting for each other.
+if worker := re.fullmatch(r"gw(\d+)", os.environ.get("PYTEST_XDIST_WORKER", "")):
+    cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {cores[int(worker[1]) % len(cores)]})
 
 from mgsr.native import _image, runtime
 

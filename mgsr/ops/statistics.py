@@ -33,5 +33,5 @@ def gather_gradients(
         statistics = SplatStatistics(gradient_sum=gradient_sum, seen=seen)
         gather(launcher, statistics, plain(v_means2d), plain(radii), scale, bad)
         return
-    gradient_sum += torch.linalg.vector_norm(v_means2d * v_means2d.new_tensor(scale), dim=1)
+    gradient_sum += torch.hypot(v_means2d[:, 0] * scale[0], v_means2d[:, 1] * scale[1])
     seen += radii > 0

@@ -286,7 +286,6 @@ REMAINING = {
     "ops/activations.LARGEST_LOG_SCALE": SAFETY,
     "ops/activations.LARGEST_SCALE": SAFETY,
     "ops/lights.OFFSET": MATHEMATICS,
-    "ops/pixels.LEAST": MATHEMATICS,
     "pipeline/estimate._RADIUS": PROGRESS,
     "pipeline/novel_view._RIGID": ROUNDING,
     "pipeline/report_pictures.MASKS": PICTURES,

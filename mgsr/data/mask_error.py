@@ -27,10 +27,9 @@ def with_mask_error(scene: Scene) -> Scene:
     """
     if not scene.masked or scene.masks_found:
         return scene
-    options, train = scene.options.mask_error, list(scene.train)
-    incomplete, contours = _find_incomplete(view_silhouettes(train, options.contour_side), options)
-    error, kept = contours.error, [index for index in range(len(train)) if index not in incomplete]
-    notes = list(scene.notes)
+    train, notes = list(scene.train), list(scene.notes)
+    incomplete, error = find_mask_errors(train, scene.options.mask_error)
+    kept = [index for index in range(len(train)) if index not in incomplete]
     if incomplete:
         names = ", ".join(repr(train[index].name) for index in incomplete)
         text = f"the masks of {len(incomplete)} of {len(train)} training views miss parts that the others show"
@@ -42,6 +41,15 @@ def with_mask_error(scene: Scene) -> Scene:
             "or the poses are inexact; the surface follows them less closely"
         )
     return replace(measured, notes=tuple(notes))
+
+
+def find_mask_errors(views: Sequence[View], options: MaskErrorOptions = MaskErrorOptions()) -> tuple[list[int], float]:
+    """Return the indices of the views whose masks are incomplete (`incomplete_masks`), and the error of the others.
+
+    views: with masks of an object in the unit ball. The error is that of `mask_error`.
+    """
+    incomplete, contours = _find_incomplete(view_silhouettes(views, options.contour_side), options)
+    return incomplete, contours.error
 
 
 def mask_error(views: Sequence[View], options: MaskErrorOptions = MaskErrorOptions()) -> float:

@@ -147,8 +147,8 @@ class Scene:
     ground [4]: the plane on which a found object stands, None if it is unknown. It holds the points x with
     ground[:3] . x + ground[3] = 0; its unit normal points up.
     masks_found: whether the masks are those of a found object.
-    mask_error: the median distance, in pixels, of given masks' contours to those of their hull; 0 until it is measured
-    by `with_mask_error`.
+    mask_error: the median distance, in pixels, of given masks' contours to those of their hull; None until it is
+    measured by `with_mask_error`.
     object_place: the object's place according to the capture, None if the capture gives none.
     """
 
@@ -168,7 +168,7 @@ class Scene:
     options: DataOptions = field(default_factory=DataOptions)
     ground: np.ndarray | None = None
     masks_found: bool = False
-    mask_error: float = 0.0
+    mask_error: float | None = None
     object_place: ObjectPlace | None = None
 
     @property
@@ -179,7 +179,7 @@ class Scene:
     @property
     def masks_inexact(self) -> bool:
         """Return whether the masks err in places and along their contours, as those of a found object do."""
-        return self.masks_found or self.mask_error > self.options.mask_error.exact
+        return self.masks_found or (self.mask_error or 0.0) > self.options.mask_error.exact
 
     @property
     def mask_dissent(self) -> int:
@@ -189,7 +189,7 @@ class Scene:
     @property
     def mask_margin(self) -> float:
         """Return by how many pixels a point of the object may lie outside given masks; 0 if they are exact."""
-        return self.mask_error if self.masks_inexact and not self.masks_found else 0.0
+        return (self.mask_error or 0.0) if self.masks_inexact and not self.masks_found else 0.0
 
     @cached_property
     def plain_backdrop(self) -> Color | None:

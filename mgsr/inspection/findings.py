@@ -42,6 +42,7 @@ class Code(StrEnum):
     SMALL_OBJECT = "small_object"
     CUT_OFF = "cut_off"
     CONTRADICTORY_MASK = "contradictory_mask"
+    INEXACT_MASKS = "inexact_masks"
     MIXED_LENSES = "mixed_lenses"
     WIDE_LENS = "wide_lens"
     SMALL_IMAGES = "small_images"

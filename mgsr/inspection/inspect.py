@@ -85,7 +85,7 @@ def check_photographs(
     found += check_parallax(np.array([view.camera.center for view in views]), target, options.coverage)
     found += check_object_size(scene, views, options.photos)
     if scene.masked:
-        found += check_masks(scene.train, names[: len(scene.train)], options.photos, scene.options.odd_masks)
+        found += check_masks(scene, names[: len(scene.train)], options.photos)
     found += check_lenses(views, names, options.photos)
     if scene.warning is not None:
         what, _, cure = scene.warning.partition("; ")

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mgsr.config.expert import OddMaskOptions, PhotoCheckOptions, SharpnessOptions
+from mgsr.config.expert import PhotoCheckOptions, SharpnessOptions
+from mgsr.data.mask_error import find_mask_errors
 from mgsr.data.odd_masks import left_out_shares
 from mgsr.data.scene import Scene, View
 from mgsr.data.sharpness import lost_sharpness
@@ -67,13 +68,12 @@ def _larger_side(mask: np.ndarray) -> float:
     return float(max((np.ptp(np.flatnonzero(mask.any(axis=axis))) + 1 for axis in (0, 1) if mask.any()), default=0))
 
 
-def check_masks(
-    views: Sequence[View],
-    names: Sequence[str],
-    options: PhotoCheckOptions = PhotoCheckOptions(),
-    odd_masks: OddMaskOptions = OddMaskOptions(),
-) -> list[Finding]:
-    """Return findings on masks that cut the object off, or that contradict the others; the views need masks."""
+def check_masks(scene: Scene, names: Sequence[str], options: PhotoCheckOptions = PhotoCheckOptions()) -> list[Finding]:
+    """Return findings on masks that cut the object off, contradict the others, or are inexact.
+
+    scene: with masks. names: those of its training views.
+    """
+    views, odd_masks = scene.train, scene.options.odd_masks
     silhouettes = view_silhouettes(views, options.contour_side)
     found = []
     cut = np.array([not silhouette.whole for silhouette in silhouettes])
@@ -92,7 +92,9 @@ def check_masks(
     if len(views) < odd_masks.min_views:
         return found
     shares = left_out_shares(views, silhouettes, options.left_out, odd_masks)
-    odd = np.flatnonzero(shares > options.left_out)
+    # A scene whose masks have been measured has no views with incomplete masks.
+    incomplete, error = ([], scene.mask_error) if scene.mask_error is not None else _mask_errors(scene)
+    odd = np.union1d(np.flatnonzero(shares > options.left_out), np.array(incomplete, int))
     if len(odd):
         found.append(
             Finding(
@@ -105,7 +107,23 @@ def check_masks(
                 pick(names, odd),
             )
         )
+    if error > scene.options.mask_error.exact:
+        found.append(
+            Finding(
+                Code.INEXACT_MASKS,
+                Severity.WARNING,
+                f"the contours of the masks contradict each other by {error:.1f} pixels in the median",
+                round(error, 2),
+                "px",
+                "make the masks more exact; if they look right, the poses are inexact",
+            )
+        )
     return found
+
+
+def _mask_errors(scene: Scene) -> tuple[list[int], float]:
+    """Return the indices of incomplete masks and the error of the others; masks of a found object count as exact."""
+    return ([], 0.0) if scene.masks_found else find_mask_errors(scene.train, scene.options.mask_error)
 
 
 def check_lenses(

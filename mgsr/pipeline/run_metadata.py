@@ -121,7 +121,7 @@ def scene_facts(scene: Scene, unit: float = 1.0) -> InputFacts:
         notes=notes or None,
         warning=scene.warning,
         masks_found=scene.masks_found or None,
-        mask_error=round(scene.mask_error, 3) if scene.masks_inexact and not scene.masks_found else None,
+        mask_error=round(scene.mask_margin, 3) if scene.masks_inexact and not scene.masks_found else None,
     )
 
 

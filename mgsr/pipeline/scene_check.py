@@ -15,7 +15,7 @@ from mgsr.pipeline.progress import Event
 from mgsr.pipeline.steps import Steps
 
 # Findings that the notes of the reading already contain.
-_NOTED = (Code.BLURRED, Code.FEW_PHOTOGRAPHS)
+_NOTED = (Code.BLURRED, Code.FEW_PHOTOGRAPHS, Code.INEXACT_MASKS)
 
 
 @dataclass(frozen=True)

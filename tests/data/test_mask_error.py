@@ -16,6 +16,8 @@ from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, View
 from mgsr.data.silhouettes import Silhouette, signed_distance, view_silhouettes
 from mgsr.export.scenes import write_scene
+from mgsr.inspection.findings import Code, Finding
+from mgsr.inspection.photo_check import check_masks
 from tests.cli.spheres import write_spheres
 from tests.optional import present
 
@@ -106,3 +108,18 @@ def test_rough_masks_are_not_incomplete(scene: Scene) -> None:
 
 def test_none_is_left_out_where_many_miss_a_part(scene: Scene) -> None:
     assert incomplete_masks(silhouettes_of(with_bites(scene, range(0, 24, 3)))) == []
+
+
+def mask_findings(scene: Scene) -> dict[Code, Finding]:
+    """Return what the inspection finds about the masks of a scene."""
+    return {each.code: each for each in check_masks(scene, [view.name for view in scene.train])}
+
+
+def test_an_inspection_tells_of_both(scene: Scene) -> None:
+    assert mask_findings(scene) == {}
+    bitten = with_bites(scene, (4, 15))
+    assert mask_findings(bitten)[Code.CONTRADICTORY_MASK].photographs == tuple(bitten.train[i].name for i in (4, 15))
+    rough = replace(scene, train=with_errors(scene, 1.0))
+    assert 0.5 < mask_findings(rough)[Code.INEXACT_MASKS].amount < 1.5
+    known = with_mask_error(rough)
+    assert mask_findings(known)[Code.INEXACT_MASKS].amount == pytest.approx(known.mask_margin, abs=0.005)

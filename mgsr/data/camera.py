@@ -55,10 +55,13 @@ class Camera:
 
         Only points with a depth above 0 lie in front of the camera.
         """
-        local = points @ self.cam_from_world[:3, :3].T + self.cam_from_world[:3, 3]
-        depth = local[:, 2]
-        safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
-        return local[:, :2] / safe[:, None] * self.K[[0, 1], [0, 1]] + self.K[:2, 2], depth
+        # Whole columns are faster than rows of three numbers.
+        x, y, depth = self.cam_from_world[:3, :3] @ points.T + self.cam_from_world[:3, 3:]
+        inverse = 1 / np.where(np.abs(depth) < 1e-12, 1e-12, depth)
+        pixels = np.empty((len(depth), 2))
+        pixels[:, 0] = x * (self.K[0, 0] * inverse) + self.K[0, 2]
+        pixels[:, 1] = y * (self.K[1, 1] * inverse) + self.K[1, 2]
+        return pixels, depth
 
     def project_inside(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return which world points [P,3] lie before the camera and inside its image.
@@ -66,7 +69,8 @@ class Camera:
         Returns their indices [Q], pixel coordinates [Q,2] and camera depths [Q].
         """
         pixels, depths = self.project(points)
-        inside = (depths > 0) & (pixels >= 0).all(axis=1) & (pixels < (self.width, self.height)).all(axis=1)
+        x, y = pixels.T
+        inside = (depths > 0) & (x >= 0) & (y >= 0) & (x < self.width) & (y < self.height)
         index = np.flatnonzero(inside)
         return index, pixels[index], depths[index]
 

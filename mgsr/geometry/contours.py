@@ -21,6 +21,7 @@ from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import smooth_displacements
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.vectors import dots
 from mgsr.parallel import map_ahead
 
 BLUR, FARTHEST = 0.7, 4.0  # pixels; of the distance to a contour before its gradient, and its largest magnitude there
@@ -90,7 +91,7 @@ def contour_gaps(
     sums, touched = np.zeros(count), np.zeros(count)
     for found in map_ahead(lambda contour: _mesh_contour(caster, contour, options), contours, None):
         corners = faces[found.faces]
-        facing = ((normals[corners] * found.shares[..., None]).sum(1) * found.outwards).sum(1)
+        facing = dots((normals[corners] * found.shares[..., None]).sum(1), found.outwards)
         good = facing > options.facing
         shares, corners = found.shares[good], corners[good]
         target = (found.gaps * facing)[good, None] * shares

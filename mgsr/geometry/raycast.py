@@ -10,6 +10,7 @@ import numpy as np
 from mgsr.data.camera import Camera
 from mgsr.data.valid_mask import valid_at
 from mgsr.geometry.precision import middle_for_float
+from mgsr.geometry.vectors import dots, lengths
 from mgsr.open3d_library import load_open3d
 
 NO_FACE = np.iinfo(np.uint32).max
@@ -78,7 +79,7 @@ class RayCaster:
         hits = self._scene.cast_rays(load_open3d().core.Tensor(rays))
         depth, normal, face = (hits[key].numpy() for key in ("t_hit", "primitive_normals", "primitive_ids"))
         hit = face != NO_FACE
-        away = (normal * directions).sum(-1) > 0
+        away = dots(normal, directions) > 0
         normal = np.where(away[..., None], -normal, normal)
         return RayHits(np.where(hit, depth, 0), np.where(hit[..., None], normal, 0), face)
 
@@ -129,9 +130,9 @@ class RayCaster:
         gap: the distance before each point within which nothing occludes it.
         """
         offsets = points - place
-        lengths = np.linalg.norm(offsets, axis=1)
-        first = self._scene.cast_rays(_rays(self._single(place), offsets / lengths[:, None]))["t_hit"].numpy()
-        return np.asarray(first >= lengths - gap)
+        distances = lengths(offsets)
+        first = self._scene.cast_rays(_rays(self._single(place), offsets / distances[:, None]))["t_hit"].numpy()
+        return np.asarray(first >= distances - gap)
 
     def _single(self, positions: np.ndarray) -> np.ndarray:
         """Convert positions [...,3] from the vertices' frame to the frame of the ray casting, as float32."""
@@ -160,6 +161,6 @@ def pixel_rays(camera: Camera) -> np.ndarray:
     """
     x = (np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
     y = (np.arange(camera.height) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
-    local = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
-    rays: np.ndarray = (local @ camera.cam_from_world[:3, :3]).astype(np.float32)
+    right, down, ahead = camera.cam_from_world[:3, :3]
+    rays: np.ndarray = (x[:, None] * right + (y[:, None] * down + ahead)[:, None]).astype(np.float32)
     return rays

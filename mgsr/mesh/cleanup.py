@@ -9,6 +9,7 @@ import numpy as np
 
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import boundary_loops
+from mgsr.geometry.vectors import dots
 from mgsr.mesh.consistency import SilhouetteHull
 from mgsr.mesh.views import SurfaceView
 
@@ -39,7 +40,7 @@ def seen_sides(mesh: Mesh, views: Sequence[SurfaceView], gap: float) -> np.ndarr
     for view in _farthest_first(views):
         visible = caster.sees(view.camera, vertices[open_], gap, view.mask)
         index = open_[visible]
-        front = ((view.camera.center - vertices[index]) * normals[index]).sum(1) >= 0
+        front = dots(view.camera.center - vertices[index], normals[index]) >= 0
         sides[index], open_ = np.where(front, 1, -1), open_[~visible]
     return sides
 

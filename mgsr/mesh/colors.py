@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from mgsr.config.expert import ColorOptions
 from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.vectors import dots, lengths
 from mgsr.mesh.pixels import depth_limits
 from mgsr.mesh.views import SurfaceView, nearest, project, sample
 from mgsr.parallel import map_ahead
@@ -82,7 +83,7 @@ def shown_points(
     """
     index, pixels, depths = project(view.camera, points)
     to_camera = view.camera.center.astype(np.float32) - points[index].astype(np.float32)
-    cosines = (to_camera * normals[index]).sum(1) / np.linalg.norm(to_camera, axis=1)
+    cosines = dots(to_camera, normals[index]) / lengths(to_camera)
     limit = depth_limits(tolerance, depths, cosines, view.camera)
     shown = (cosines > grazing) & (np.abs(nearest(view.depth, pixels) - depths) <= limit)
     shown &= nearest(view.usable(min_alpha), pixels)

@@ -94,9 +94,11 @@ class _Verdict:
 def _verdict(points: OrientedPoints, view: SurfaceView, rules: PixelRules, tolerance: float, reach: float) -> _Verdict:
     camera = view.camera
     index, pixels, depths = project(camera, points.positions)
-    rays = (points.positions[index] - camera.center.astype(np.float32)) / depths[:, None]
-    slants = (rays * points.normals[index]).sum(1)  # component of a ray with camera z 1 along the point's normal
-    cosines = -slants / np.sqrt((rays * rays).sum(1))
+    rays = (pixels - camera.K[:2, 2].astype(np.float32)) / camera.K[[0, 1], [0, 1]].astype(np.float32)
+    turned = camera.cam_from_world[:3, :3].astype(np.float32) @ points.normals.T.astype(np.float32, copy=False)
+    across, down, away = turned[:, index]
+    slants = across * rays[:, 0] + down * rays[:, 1] + away  # component of a ray with camera z 1 along the normal
+    cosines = -slants / np.sqrt(rays[:, 0] ** 2 + rays[:, 1] ** 2 + 1)
     limit = depth_limits(tolerance, depths, np.abs(cosines), camera)
     depth = np.where(view.usable(rules.min_alpha), view.depth, np.inf)
     if view.mask is not None:

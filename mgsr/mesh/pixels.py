@@ -9,6 +9,7 @@ import numpy as np
 
 from mgsr.data.camera import Camera
 from mgsr.geometry.raycast import pixel_rays
+from mgsr.geometry.vectors import dots, lengths
 from mgsr.mesh.views import SurfaceView
 
 STEEPEST = 0.3  # cosine between normal and view direction below which the depth tolerance grows no further
@@ -46,13 +47,13 @@ class SurfacePixels:
 def surface_pixels(view: SurfaceView, rules: PixelRules) -> SurfacePixels:
     """Back-project a view's pixels, and select the reliable ones by the rules."""
     rays = pixel_rays(view.camera)
-    normals = view.normal / np.maximum(_lengths(view.normal), 1e-9)[..., None]
-    cosines = -np.einsum("hwc,hwc->hw", normals, rays) / _lengths(rays)
+    normals = view.normal / np.maximum(lengths(view.normal), 1e-9)[..., None]
+    cosines = -dots(normals, rays) / lengths(rays)
     positions = back_project(view, rays)
     usable = view.usable(rules.min_alpha)
     believed = usable & (cosines >= rules.min_cos)
     if rules.radius is not None:
-        believed &= _lengths(positions) <= rules.radius
+        believed &= lengths(positions) <= rules.radius
     if rules.max_jump is not None:
         believed &= ~_on_edge(usable, positions, normals, rules.max_jump * footprint(view))
     return SurfacePixels(positions, normals, cosines, believed)
@@ -93,12 +94,6 @@ def median_footprint(views: Sequence[SurfaceView], min_alpha: float) -> float | 
     return float(np.median(medians)) if medians else None
 
 
-def _lengths(vectors: np.ndarray) -> np.ndarray:
-    """Return the lengths [H,W] of vectors [H,W,3]."""
-    lengths: np.ndarray = np.sqrt(np.einsum("hwc,hwc->hw", vectors, vectors))
-    return lengths
-
-
 _ALL, _HEAD, _TAIL = slice(None), slice(None, -1), slice(1, None)
 _NEIGHBOURS = [
     ((_HEAD, _ALL), (_TAIL, _ALL)),
@@ -116,6 +111,6 @@ def _on_edge(usable: np.ndarray, positions: np.ndarray, normals: np.ndarray, lim
     """
     edge = np.zeros(usable.shape, bool)
     for here, there in _NEIGHBOURS:
-        off = np.abs(np.einsum("hwc,hwc->hw", positions[there] - positions[here], normals[here]))
+        off = np.abs(dots(positions[there] - positions[here], normals[here]))
         edge[here] |= (off > limit[here]) | ~usable[there]
     return edge

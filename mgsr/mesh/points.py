@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.vectors import dots
 from mgsr.mesh.pixels import PixelRules, surface_pixels
 from mgsr.mesh.views import SurfaceView
 from mgsr.parallel import map_ahead
@@ -135,6 +136,6 @@ def front_views(points: OrientedPoints, surface: Mesh, views: Sequence[SurfaceVi
     """
     count = np.zeros(len(points), np.int32)
     for view in views:
-        front = ((view.camera.center - points.positions) * points.normals).sum(axis=1) > 0
+        front = dots(view.camera.center - points.positions, points.normals) > 0
         count += front & surface.caster.sees(view.camera, points.positions, gap, view.mask)
     return count

@@ -18,6 +18,7 @@ from mgsr.config.expert import OcclusionOptions
 from mgsr.data.photograph import Photograph
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import tangents
+from mgsr.geometry.vectors import dots, lengths
 from mgsr.parallel import map_ahead
 from mgsr.shading.observations import sample_image, seen_frontal
 
@@ -69,7 +70,7 @@ def _shown(mesh: Mesh, photograph: Photograph, gap: float, min_cosine: float) ->
     """Return each vertex's brightness [V] in a photograph, in linear light; 0 where it is not visible."""
     vertices, normals = mesh.vertices, mesh.double_normals
     offsets = photograph.camera.center - vertices
-    cosines = (offsets * normals).sum(axis=1) / np.linalg.norm(offsets, axis=1)
+    cosines = dots(offsets, normals) / lengths(offsets)
     seen = seen_frontal(
         mesh.caster, photograph.camera, vertices, normals, cosines > min_cosine, gap, photograph.interior
     )

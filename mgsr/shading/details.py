@@ -21,6 +21,7 @@ from mgsr.data.photograph import Photograph
 from mgsr.data.robust import robust_deviation
 from mgsr.geometry.displace import diffuse
 from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.vectors import dots, lengths
 from mgsr.parallel import map_ahead
 from mgsr.shading.environment_fit import FittedEnvironmentMap
 from mgsr.shading.light_models import LightModel
@@ -177,7 +178,7 @@ def _read_some(surface: ObservedMesh, mixes: Sequence[ChannelMix], light: KnownL
         seen, step = samples.seen, DIFFERENCE * surface.pixel * normals[samples.seen]
         moved = 1 / DIFFERENCE * (mix.photograph.camera.project(places[seen] + step)[0] - samples.pixels)
         columns[0, seen, number] = sample_image(mix.mixed, samples.pixels) / samples.irradiance_factor
-        columns[1, seen, number] = (mix.slopes(samples.pixels) * moved).sum(axis=1) / samples.irradiance_factor
+        columns[1, seen, number] = dots(mix.slopes(samples.pixels), moved) / samples.irradiance_factor
         columns[3, seen, number] = samples.weights
         if light.mirrors is not None:
             shine[:, number] = light.mirrors.mirrored(normals, samples.view_directions)
@@ -209,8 +210,8 @@ def sample_view(surface: ObservedMesh, mix: ChannelMix, light: KnownLight) -> Vi
     """Find the vertices that a photograph shows, their pixels and their weights."""
     camera, places, normals = mix.photograph.camera, surface.mesh.vertices, surface.mesh.double_normals
     offsets = camera.center - places
-    view_directions = offsets / np.linalg.norm(offsets, axis=1, keepdims=True)
-    cosines = (view_directions * normals).sum(axis=1)
+    view_directions = offsets / lengths(offsets)[:, None]
+    cosines = dots(view_directions, normals)
     seen = seen_frontal(
         surface.mesh.caster, camera, places, normals, cosines > surface.options.min_cosine, surface.pixel
     )

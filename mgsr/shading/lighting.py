@@ -19,6 +19,7 @@ from mgsr.data.images import to_uint8
 from mgsr.data.pixels import PixelStore
 from mgsr.data.scene import Scene, Similarity, View
 from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.vectors import dots, lengths
 from mgsr.parallel import map_ahead
 
 GAMMA = 2.4  # of sRGB, away from black
@@ -137,8 +138,8 @@ def lamp_light(to_lamp: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
     It is 1 for a surface that faces the lamp at a distance of 1 (Lambert).
     """
-    cosines = np.maximum((to_lamp * normals).sum(axis=-1), 0)
-    return np.asarray(cosines / (to_lamp**2).sum(axis=-1) ** 1.5)
+    cosines = np.maximum(dots(to_lamp, normals), 0)
+    return np.asarray(cosines / lengths(to_lamp) ** 3)
 
 
 def add_irradiance(scene: Scene, lighting: Lighting | None, threads: int | None = None) -> Scene:

@@ -13,6 +13,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.photograph import Photograph
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.vectors import dots, lengths
 from mgsr.parallel import map_ahead
 
 INSIDE = 0.99  # least interpolated value of a mask at a pixel whose neighbours all lie inside
@@ -133,9 +134,9 @@ def _read(
     caster, points, normals = mesh.caster, mesh.vertices, mesh.double_normals
     camera = photograph.camera
     offsets = (camera.center - points).astype(np.float32)
-    distances = np.linalg.norm(offsets, axis=1)
+    distances = lengths(offsets)
     view_directions = offsets / distances[:, None]
-    cosines = (view_directions * normals).sum(1)
+    cosines = dots(view_directions, normals)
     index = seen_frontal(caster, camera, points, normals, cosines > min_cosine, gap, photograph.interior)
     if lamp is not None:
         index = index[caster.reached(lamp, points[index] + normals[index] * gap, gap)]

@@ -16,6 +16,7 @@ from mgsr.config.expert import ConsistencyOptions, MatchSettings, PatchMatchOpti
 from mgsr.data.camera import Camera
 from mgsr.data.images import reduce_area
 from mgsr.geometry.raycast import RayCaster, pixel_rays
+from mgsr.geometry.vectors import dots, lengths
 from mgsr.native import _stereo
 from mgsr.native.structs import StereoPlanes, StereoSettings, StereoViews
 from mgsr.parallel import map_ahead
@@ -181,10 +182,10 @@ def _weights(
         across, down = pixels.astype(int).T
         gaps = (its.depth[down, across] / depths - 1) * there.K[0, 0]
         known = its.depth[down, across] > 0
-        alike = (its.normal[down, across] * normals[inside]).sum(1) > same_normal
+        alike = dots(its.normal[down, across], normals[inside]) > same_normal
         confirming[inside] += known & alike & (np.abs(gaps) < options.same_depth)
         against[inside] += known & (gaps > options.seen_through)
-    cosines = -(ways * normals).sum(1) / np.linalg.norm(ways, axis=1)
+    cosines = -dots(ways, normals) / lengths(ways)
     scores = (found.score[rows, columns] - options.worthless) / (options.perfect - options.worthless)
     weights = np.zeros(found.depth.shape, np.float32)
     believed = (confirming >= options.min_confirming) & (confirming > against)

@@ -132,6 +132,7 @@ void gradient(const std::vector<nb::object>& slopes, const std::vector<float>& s
     for (size_t i = 0; i < of_term.ndim() && (same || all_channels); ++i)
       if (of_term.shape(i) != image.shape(i)) same = all_channels = false;
     expect(same || all_channels, "slopes: expected the shape of out, or that of its pixels");
+    expect(same || image.shape(image.ndim() - 1) <= kMostChannels, "out: expected 16 channels at most");
     parts.push_back({of_term.data(), all_channels, scales[k]});
   }
   GradientParams p;

@@ -1,6 +1,7 @@
 // Adds reflected light to rendered images, and lights them by a flash, before they are compared. A thread is a pixel,
 // and its gradients depend on no other pixel.
 #include "kernels/common/cuda.h"
+#include "math/light.h"
 
 namespace mgsr {
 
@@ -68,10 +69,8 @@ MGSR_KERNEL(lights_reflection_vjp, mgsr::ReflectionVjpParams, mgsr::kLightThread
 MGSR_KERNEL(lights_light_up, mgsr::LightUpParams, mgsr::kLightThreads) {
   const int64_t i = mgsr::light_pixel();
   if (i >= p.pixels) return;
-  const float lost = p.shading[i] - 1.0f;
   for (int c = 0; c < 3; ++c) {
-    const float unlit = p.unlit[3 * i + c], behind = p.background[c];
-    p.image[3 * i + c] = unlit + lost * (unlit + p.alpha[i] * (behind + p.offset) - behind);
+    p.image[3 * i + c] = mgsr::lit(p.unlit[3 * i + c], p.alpha[i], p.background[c], p.shading[i], p.offset);
   }
 }
 
@@ -81,7 +80,7 @@ MGSR_KERNEL(lights_light_up_vjp, mgsr::LightUpVjpParams, mgsr::kLightThreads) {
   float v_alpha = 0.0f;
   for (int c = 0; c < 3; ++c) {
     p.v_unlit[3 * i + c] = p.v_image[3 * i + c] * p.shading[i];
-    v_alpha += p.v_image[3 * i + c] * (p.background[c] + p.offset);
+    v_alpha += p.v_image[3 * i + c] * mgsr::lit_by_alpha(p.background[c], p.offset);
   }
   p.v_alpha[i] = (p.shading[i] - 1.0f) * v_alpha + (p.add_alpha ? p.add_alpha[i] : 0.0f);
 }

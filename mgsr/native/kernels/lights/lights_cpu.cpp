@@ -3,6 +3,7 @@
 
 #include "kernels/common/channels.h"
 #include "kernels/common/parallel.h"
+#include "math/light.h"
 
 namespace mgsr {
 namespace MGSR_ISA {
@@ -66,10 +67,7 @@ void light_up(const LightUpParams& p) {
     repeat(p.shading + begin, n, 3, shading);
     const float* unlit = p.unlit + 3 * begin;
     float* image = p.image + 3 * begin;
-    for (int i = 0; i < 3 * n; ++i) {
-      const float own = unlit[i] + alpha[i] * (behind[i] + p.offset) - behind[i];
-      image[i] = unlit[i] + (shading[i] - 1) * own;
-    }
+    for (int i = 0; i < 3 * n; ++i) image[i] = lit(unlit[i], alpha[i], behind[i], shading[i], p.offset);
   });
 }
 
@@ -80,7 +78,8 @@ void light_up_vjp(const LightUpVjpParams& p) {
     const float* v_image = p.v_image + 3 * begin;
     float *v_unlit = p.v_unlit + 3 * begin, *v_alpha = p.v_alpha + begin;
     for (int i = 0; i < 3 * n; ++i) v_unlit[i] = v_image[i] * shading[i];
-    const float red = p.background[0] + p.offset, green = p.background[1] + p.offset, blue = p.background[2] + p.offset;
+    const float red = lit_by_alpha(p.background[0], p.offset), green = lit_by_alpha(p.background[1], p.offset);
+    const float blue = lit_by_alpha(p.background[2], p.offset);
     for (int i = 0; i < n; ++i) {
       const float sum = v_image[3 * i] * red + v_image[3 * i + 1] * green + v_image[3 * i + 2] * blue;
       v_alpha[i] = (p.shading[begin + i] - 1) * sum;

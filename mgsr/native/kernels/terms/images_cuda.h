@@ -3,6 +3,7 @@
 #pragma once
 
 #include "kernels/common/sums_cuda.h"
+#include "math/silhouette.h"
 
 namespace mgsr {
 
@@ -27,8 +28,8 @@ __device__ inline void composite(const TargetParams& p) {
   if (i >= p.pixels) return;
   const float alpha = p.mask ? float(p.mask[i]) / 255.0f : 1.0f;
   for (int c = 0; c < 3; ++c) {
-    const float own = float(p.image[3 * i + c]) / 255.0f;
-    p.color[3 * i + c] = p.mask ? p.background[c] + (own - p.background[c]) * alpha : own;
+    const unsigned char own = p.image[3 * i + c];
+    p.color[3 * i + c] = p.mask ? composited(own, p.background[c], alpha) : float(own) / 255.0f;
   }
   if (p.alpha) p.alpha[i] = alpha;
   if (p.weights) p.weights[i] = p.off_edge[i] ? 1.0f : 0.0f;
@@ -48,7 +49,7 @@ __device__ inline void find_covered(const CoveredParams& p) {
   p.covered[i] = p.alpha[i] > 0.5f && (!p.mask || p.mask[i] > 0.5f) ? 1.0f : 0.0f;
 }
 
-// The difference of two silhouettes: absolute, or the cross entropy with alpha clamped to kLeast from 0 and 1.
+// The difference of two silhouettes: absolute, or the cross entropy with alpha clamped to kLeastAlpha from 0 and 1.
 struct SilhouetteParams {
   int64_t pixels;
   const float* alpha;
@@ -60,22 +61,12 @@ struct SilhouetteParams {
 };
 
 __device__ inline void compare_silhouettes(const SilhouetteParams& p) {
-  constexpr float kLeast = 1e-4f;
   const int64_t i = term_index();
   double total = 0.0;
   if (i < p.pixels) {
     const float weight = p.weights ? p.weights[i] : 1.0f, alpha = p.alpha[i] * weight, mask = p.mask[i] * weight;
     float slope;
-    if (p.entropy) {
-      const float inside = alpha < kLeast ? kLeast : alpha > 1.0f - kLeast ? 1.0f - kLeast : alpha;
-      total = -(double(mask) * log(double(inside)) + (1.0 - double(mask)) * log(1.0 - double(inside)));
-      const bool clamped = alpha < kLeast || alpha > 1.0f - kLeast;
-      slope = clamped ? 0.0f : (inside - mask) / (inside * (1.0f - inside));
-    } else {
-      const float difference = alpha - mask;
-      total = fabsf(difference);
-      slope = difference > 0.0f ? 1.0f : difference < 0.0f ? -1.0f : 0.0f;
-    }
+    total = p.entropy ? silhouette_entropy(alpha, mask, slope) : silhouette_gap(alpha, mask, slope);
     if (p.v_alpha) p.v_alpha[i] = slope * weight;
   }
   write_block_sums(total, 0.0, &p.sums[blockIdx.x]);

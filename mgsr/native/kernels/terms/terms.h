@@ -26,7 +26,7 @@ struct CoveredParams {
   float* covered = nullptr;
 };
 
-// The difference of two silhouettes: absolute, or the cross entropy with alpha clamped to 1e-4 from 0 and 1.
+// The difference of two silhouettes: absolute, or the cross entropy with alpha clamped to kLeastAlpha from 0 and 1.
 struct SilhouetteParams {
   int64_t pixels = 0;
   const float* alpha = nullptr;
@@ -59,6 +59,8 @@ struct StepsParams {
   const float* values = nullptr;  // [maps, side, side, channels]
   float* v_values = nullptr;      // the same
 };
+
+constexpr int kMostChannels = 16;  // of an image whose slopes hold for all channels
 
 // A term's part of an image's gradient: scale * slopes.
 struct GradientPart {

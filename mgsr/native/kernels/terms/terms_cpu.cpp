@@ -3,20 +3,18 @@
 #include "kernels/terms/terms.h"
 
 #include <algorithm>
-#include <cmath>
 #include <vector>
 
 #include "kernels/common/channels.h"
 #include "kernels/common/parallel.h"
 #include "kernels/common/simd.h"
+#include "math/silhouette.h"
 
 namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-constexpr int kChunk = 8192;       // pixels or numbers per task
-constexpr int kMostChannels = 16;  // of an image whose slopes hold for all channels
-constexpr float kLeast = 1e-4f;    // the least alpha and 1 - alpha in a cross entropy
+constexpr int kChunk = 8192;  // pixels or numbers per task
 
 // Returns the sum of body(begin, end) over chunks of [0, n).
 template <class Body>
@@ -40,7 +38,7 @@ void target(const TargetParams& p) {
       repeat(shares, n, 3, spread);
       const uint8_t* image = p.image + 3 * begin;
       float* color = p.color + 3 * begin;
-      for (int i = 0; i < 3 * n; ++i) color[i] = behind[i] + (float(image[i]) / 255.0f - behind[i]) * spread[i];
+      for (int i = 0; i < 3 * n; ++i) color[i] = composited(image[i], behind[i], spread[i]);
     }
     if (p.weights)
       for (int64_t i = first; i < last; ++i) p.weights[i] = float(p.off_edge[i]);
@@ -56,20 +54,6 @@ void covered(const CoveredParams& p) {
   });
 }
 
-// Writes the derivative of |alpha - mask| to slope, and returns the value.
-inline float absolute(float alpha, float mask, float& slope) {
-  const float difference = alpha - mask;
-  slope = float(difference > 0) - float(difference < 0);
-  return std::fabs(difference);
-}
-
-// Does the same for the cross entropy.
-inline double cross_entropy(float alpha, float mask, float& slope) {
-  const float inside = std::min(std::max(alpha, kLeast), 1 - kLeast);
-  slope = inside == alpha ? (inside - mask) / (inside * (1 - inside)) : 0;
-  return -(double(mask) * std::log(double(inside)) + (1 - double(mask)) * std::log(1 - double(inside)));
-}
-
 double silhouette(const SilhouetteParams& p) {
   return sum_chunks(p.pixels, [&](int64_t first, int64_t last) {
     double total = 0;
@@ -80,9 +64,9 @@ double silhouette(const SilhouetteParams& p) {
       const float *alpha = p.alpha + begin, *mask = p.mask + begin;
       if (p.weights) std::copy(p.weights + begin, p.weights + begin + n, weight);
       if (p.entropy) {
-        for (int i = 0; i < n; ++i) total += cross_entropy(alpha[i] * weight[i], mask[i] * weight[i], slope[i]);
+        for (int i = 0; i < n; ++i) total += silhouette_entropy(alpha[i] * weight[i], mask[i] * weight[i], slope[i]);
       } else {
-        for (int i = 0; i < n; ++i) value[i] = absolute(alpha[i] * weight[i], mask[i] * weight[i], slope[i]);
+        for (int i = 0; i < n; ++i) value[i] = silhouette_gap(alpha[i] * weight[i], mask[i] * weight[i], slope[i]);
         total += sum_floats(value, n);
       }
       if (p.v_alpha)

@@ -9,7 +9,10 @@ import numpy as np
 
 
 def dots(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return the dot products [...] of vectors [...,C] and [...,C], which may be broadcast."""
+    """Return the dot products [...] of vectors.
+
+    one, other [...,C]: the vectors; leading axes are broadcast.
+    """
     products: np.ndarray = np.einsum("...c,...c->...", one, other)
     return products
 

@@ -2,41 +2,22 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+from pathlib import Path
+
 import pytest
 
 from mgsr.errors import ConfigError
-from mgsr.native import (
-    _adam,
-    _environment_map,
-    _fusion,
-    _gaussians,
-    _harmonics,
-    _image,
-    _lights,
-    _mirrored,
-    _stereo,
-    _surfels,
-    _terms,
-    runtime,
-)
+from mgsr.native import runtime
 
-FAMILIES = (
-    _adam,
-    _environment_map,
-    _fusion,
-    _gaussians,
-    _harmonics,
-    _image,
-    _lights,
-    _mirrored,
-    _stereo,
-    _surfels,
-    _terms,
-)
+# Every stub is that of a family.
+STUBS = Path(runtime.__file__).parent.glob("_*.pyi")
+FAMILIES = [import_module(f"mgsr.native.{path.stem}") for path in STUBS]
 pytestmark = pytest.mark.usefixtures("kernel_settings_come_back")
 
 
 def test_every_family_follows() -> None:
+    assert len(FAMILIES) == len(runtime.FAMILIES)
     for isa in runtime.isas():
         runtime.set_isa(isa)
         runtime.set_threads(3)

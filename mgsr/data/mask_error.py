@@ -44,9 +44,11 @@ def with_mask_error(scene: Scene) -> Scene:
 
 
 def find_mask_errors(views: Sequence[View], options: MaskErrorOptions = MaskErrorOptions()) -> tuple[list[int], float]:
-    """Return the indices of the views whose masks are incomplete (`incomplete_masks`), and the error of the others.
+    """Return the indices of the few views whose masks miss parts of the object, and the `mask_error` of the others.
 
-    views: with masks of an object in the unit ball. The error is that of `mask_error`.
+    Such a mask cuts the hull, so that many contours lie far outside it, and it is what most of them lie outside of. If
+    such masks are too many, it is unknown which masks are right, and no index is returned. views: with masks of an
+    object in the unit ball.
     """
     incomplete, contours = _find_incomplete(view_silhouettes(views, options.contour_side), options)
     return incomplete, contours.error
@@ -58,15 +60,6 @@ def mask_error(views: Sequence[View], options: MaskErrorOptions = MaskErrorOptio
     It is 0 if no contour is in sight. views: with masks of an object in the unit ball.
     """
     return _Contours.of(view_silhouettes(views, options.contour_side), options).error
-
-
-def incomplete_masks(silhouettes: Sequence[Silhouette], options: MaskErrorOptions = MaskErrorOptions()) -> list[int]:
-    """Return the indices of the few silhouettes that miss parts of the object that the others show.
-
-    Such a mask cuts the hull, so that many contours lie far outside it, and it is what most of them lie outside of. If
-    such masks are too many, it is unknown which masks are right, and none is returned.
-    """
-    return _find_incomplete(silhouettes, options)[0]
 
 
 def _find_incomplete(silhouettes: Sequence[Silhouette], options: MaskErrorOptions) -> tuple[list[int], _Contours]:

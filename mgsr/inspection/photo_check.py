@@ -92,8 +92,7 @@ def check_masks(scene: Scene, names: Sequence[str], options: PhotoCheckOptions =
     if len(views) < odd_masks.min_views:
         return found
     shares = left_out_shares(views, silhouettes, options.left_out, odd_masks)
-    # A scene whose masks have been measured has no views with incomplete masks.
-    incomplete, error = ([], scene.mask_error) if scene.mask_error is not None else _mask_errors(scene)
+    incomplete, error = _mask_errors(scene)
     odd = np.union1d(np.flatnonzero(shares > options.left_out), np.array(incomplete, int))
     if len(odd):
         found.append(
@@ -122,8 +121,10 @@ def check_masks(scene: Scene, names: Sequence[str], options: PhotoCheckOptions =
 
 
 def _mask_errors(scene: Scene) -> tuple[list[int], float]:
-    """Return the indices of incomplete masks and the error of the others; masks of a found object count as exact."""
-    return ([], 0.0) if scene.masks_found else find_mask_errors(scene.train, scene.options.mask_error)
+    """Return the indices of incomplete masks, and the error of the others if they are given and inexact."""
+    if scene.masks_found or scene.mask_error is not None:
+        return [], scene.mask_margin  # a scene whose masks have been measured has lost the incomplete ones
+    return find_mask_errors(scene.train, scene.options.mask_error)
 
 
 def check_lenses(

@@ -11,10 +11,10 @@ import pytest
 from scipy import ndimage
 
 from mgsr.config.expert import DataOptions, MaskErrorOptions
-from mgsr.data.mask_error import incomplete_masks, mask_error, with_mask_error
+from mgsr.data.mask_error import find_mask_errors, mask_error, with_mask_error
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, View
-from mgsr.data.silhouettes import Silhouette, signed_distance, view_silhouettes
+from mgsr.data.silhouettes import signed_distance
 from mgsr.export.scenes import write_scene
 from mgsr.inspection.findings import Code, Finding
 from mgsr.inspection.photo_check import check_masks
@@ -82,13 +82,9 @@ def with_bites(scene: Scene, numbers: Sequence[int]) -> Scene:
     return replace(scene, train=train)
 
 
-def silhouettes_of(scene: Scene) -> list[Silhouette]:
-    return view_silhouettes(scene.train, MaskErrorOptions().contour_side)
-
-
 def test_masks_that_miss_a_part_are_left_out(scene: Scene) -> None:
     bitten = with_bites(scene, (4, 15))
-    assert incomplete_masks(silhouettes_of(scene)) == [] and incomplete_masks(silhouettes_of(bitten)) == [4, 15]
+    assert find_mask_errors(scene.train)[0] == [] and find_mask_errors(bitten.train)[0] == [4, 15]
     measured = with_mask_error(bitten)
     names = [bitten.train[number].name for number in (4, 15)]
     assert [view.name for view in measured.train] == [view.name for view in scene.train if view.name not in names]
@@ -103,11 +99,11 @@ def test_a_camera_that_looks_away_contradicts_all_others(scene: Scene) -> None:
 
 
 def test_rough_masks_are_not_incomplete(scene: Scene) -> None:
-    assert incomplete_masks(silhouettes_of(replace(scene, train=with_errors(scene, 1.0)))) == []
+    assert find_mask_errors(with_errors(scene, 1.0))[0] == []
 
 
 def test_none_is_left_out_where_many_miss_a_part(scene: Scene) -> None:
-    assert incomplete_masks(silhouettes_of(with_bites(scene, range(0, 24, 3)))) == []
+    assert find_mask_errors(with_bites(scene, range(0, 24, 3)).train)[0] == []
 
 
 def mask_findings(scene: Scene) -> dict[Code, Finding]:

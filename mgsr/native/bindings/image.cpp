@@ -6,6 +6,7 @@
 
 #include "bindings/doubles.h"
 #include "bindings/fields.h"
+#include "bindings/sizes.h"
 #include "kernels/image/image.h"
 #include "math/depth_normal.h"
 #include "math/ssim.h"
@@ -25,11 +26,6 @@ template <class T>
 using Channels = Array<T, nb::ndim<3>>;
 template <class T>
 using Plane = Array<T, nb::ndim<2>>;
-
-template <class A, class B>
-void expect_same_size(const A& a, const B& b, const char* message) {
-  expect(!b.is_valid() || (a.shape(0) == b.shape(0) && a.shape(1) == b.shape(1)), message);
-}
 
 std::pair<double, double> image_loss(nb::handle pair, nb::handle v_image, nb::handle v_target) {
   const Fields fields(pair, "pair");

@@ -2,6 +2,7 @@
 #include <vector>
 
 #include "bindings/fields.h"
+#include "bindings/sizes.h"
 #include "kernels/terms/terms.h"
 
 namespace mgsr {
@@ -21,12 +22,7 @@ using Maps = Array<T, nb::ndim<4>>;
 template <class T>
 using Any = Array<T>;
 
-// Requires that b, if it is given, has as many rows and columns as a.
-template <class A, class B>
-void expect_same_size(const A& a, const B& b, const char* message) {
-  expect(!b.is_valid() || (a.shape(0) == b.shape(0) && a.shape(1) == b.shape(1)), message);
-}
-
+// Requires that b, if it is given, has as many numbers as a.
 template <class A, class B>
 void expect_same_count(const A& a, const B& b, const char* message) {
   expect(!b.is_valid() || a.size() == b.size(), message);

@@ -15,6 +15,7 @@ from mgsr.data.backdrop import Color
 from mgsr.data.camera import Camera
 from mgsr.data.images import to_uint8
 from mgsr.data.masks import leave_borders_free, with_masks
+from mgsr.data.pixels import PixelStore
 from mgsr.data.scene import Scene, View
 from mgsr.data.silhouettes import Silhouette, view_silhouettes
 from mgsr.export.renders import Rendering, on_background, straight_color
@@ -146,15 +147,19 @@ def _as_photograph(model: TrainedModel, view: View, config: Config, behind: Colo
 
 
 def masked_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
-    """Return the scene with masks: its own, or the branches' opacity before a plain backdrop.
+    """Return the scene with the masks for surface extraction: its own, or the opacity of the branch that renders.
 
-    Before such a backdrop, opacity covers only the object. Without masks and backdrop, the scene is unchanged.
+    Before a plain backdrop, opacity covers only the object. Inexact masks err differently in each photograph. The 3D
+    branch learned from all of them, so its opacity errs less and agrees between the views. Without masks and backdrop,
+    the scene is unchanged.
     """
-    if not scene.backdrop(config.train.background).plain:
+    inexact = scene.masks_inexact and model.gaussians is not None
+    if not (inexact or scene.backdrop(config.train.background).plain):
         return scene
+    store = PixelStore()
     with torch.no_grad():
-        masks = [to_uint8(255 * _opacity(model, view.camera)) for view in scene.train]
-    return with_masks(scene, masks) if leave_borders_free(masks, scene.options.mask_use) else scene
+        masks = [store.hold(to_uint8(255 * _opacity(model, view.camera))) for view in scene.train]
+    return with_masks(scene, masks) if inexact or leave_borders_free(masks, scene.options.mask_use) else scene
 
 
 def scene_silhouettes(scene: Scene, side: int = MeshOptions().mask_side) -> list[Silhouette]:

@@ -41,7 +41,7 @@ def test_without_masks_renders_lie_on_the_backdrop(color: tuple[int, int, int]) 
 def test_opacity_is_nearer_to_the_truth_than_inexact_masks() -> None:
     """Check that what training makes of masks that are too large or too small errs less than these."""
     true = ball_scene(size=64, train=16)
-    grown = [(ndimage.grey_dilation if number % 2 else ndimage.grey_erosion) for number in range(len(true.train))]
+    grown = [ndimage.grey_dilation if number % 2 else ndimage.grey_erosion for number in range(len(true.train))]
     wrong = [replace(view, alpha=grow(view.alpha, (5, 5))) for view, grow in zip(true.train, grown, strict=True)]
     scene = replace(true, train=wrong, mask_error=2.0)
     short = ["warmup.surfel_iterations=100", "warmup.gaussian_iterations=300", "mutual.iterations=100"]
@@ -57,5 +57,8 @@ def test_opacity_is_nearer_to_the_truth_than_inexact_masks() -> None:
 
 def error(scene: Scene, true: Scene) -> float:
     """Return the mean difference between the masks of two scenes, 0..255."""
-    pairs = zip(scene.train, true.train, strict=True)
-    return float(np.mean([np.abs(np.subtract(one.alpha, other.alpha, dtype=float)) for one, other in pairs]))
+    apart = []
+    for one, other in zip(scene.train, true.train, strict=True):
+        assert one.alpha is not None and other.alpha is not None
+        apart.append(np.abs(one.alpha.astype(float) - other.alpha).mean())
+    return float(np.mean(apart))

@@ -69,7 +69,9 @@ def judge(
     """Return the pairs with their verdicts: by the epipolar lines, and by the points that three photographs share.
 
     A pair agrees if it belongs to three photographs whose rays meet. A pair contradicts if the rays miss each other in
-    all triples that contain it, and if no other pairs prove it.
+    all triples that contain it, and if no other pairs prove it. A triple whose third photograph contradicts both others
+    by the epipolar lines says nothing about their pair, if that pair is as near to its lines as most. Of a photograph
+    that more pairs contradict than triples prove, only such exact pairs agree by the lines alone.
     """
     limits = options.verdicts
     usual = min(usual_residual(pairs, options.pairs.min_matches), limits.max_usual)
@@ -78,14 +80,22 @@ def judge(
     triples = _triples(cameras, features, pairs, limits.min_shared)
     meets = {triple: rays < close for triple, rays in triples if rays is not None}
     met = {edge for triple, good in meets.items() if good for edge in _edges(triple)}
-    missed = {edge for triple, good in meets.items() if not good for edge in _edges(triple)} - met
+    off = {(pair.one, pair.other) for pair, line in zip(pairs, lines, strict=True) if line is Verdict.CONTRADICTS}
+    exact = {(pair.one, pair.other) for pair in pairs if pair.residual <= usual}
+    missed = {edge for triple, good in meets.items() if not good for edge in _suspects(triple, off, exact)} - met
+    against = missed | off
+    doubted = {photo for edge in against for photo in edge}
+    doubted = {photo for photo in doubted if _count(against, photo) > _count(met, photo)}
     verdicts = []
     for pair, line in zip(pairs, lines, strict=True):
         edge = (pair.one, pair.other)
-        if line is Verdict.CONTRADICTS or edge in missed:
+        if edge in against:
             verdicts.append(Verdict.CONTRADICTS)
+        elif edge in met:
+            verdicts.append(Verdict.AGREES)
         else:
-            verdicts.append(Verdict.AGREES if edge in met else line)
+            unproven = line is Verdict.AGREES and edge not in exact and not doubted.isdisjoint(edge)
+            verdicts.append(Verdict.UNKNOWN if unproven else line)
     return Judged(tuple(pairs), tuple(verdicts), tuple(lines))
 
 
@@ -100,11 +110,28 @@ def _by_lines(pair: Pair, usual: float, options: InspectionConfig) -> Verdict:
 
 
 Triple = tuple[int, int, int]
+Edge = tuple[int, int]
 
 
-def _edges(triple: Triple) -> tuple[tuple[int, int], ...]:
+def _edges(triple: Triple) -> tuple[Edge, ...]:
     i, j, k = triple
     return (i, j), (i, k), (j, k)
+
+
+def _count(edges: set[Edge], photo: int) -> int:
+    """Return the number of pairs that contain a photograph."""
+    return sum(photo in edge for edge in edges)
+
+
+def _suspects(triple: Triple, off: set[Edge], exact: set[Edge]) -> list[Edge]:
+    """Return the pairs of a triple that may be the reason why its rays miss each other.
+
+    off, exact: the pairs whose matches are far from the epipolar lines, and no farther than usual. If two pairs of the
+    triple are off, the photograph that they share is the reason, and an exact third pair is no suspect.
+    """
+    edges = _edges(triple)
+    explained = sum(edge in off for edge in edges) == 2
+    return [edge for edge in edges if not (explained and edge in exact)]
 
 
 def _triples(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mgsr.config.expert import PairOptions
+from mgsr.data.camera import Camera
 from mgsr.inspection.features import Features, match
 from mgsr.inspection.pairs import Pair, epipolar_residuals, fundamental_matrix
 from mgsr.inspection.pose_check import PoseGroups, group_by_pose
@@ -84,6 +85,27 @@ def test_groups_are_those_that_agree() -> None:
     assert groups.contradictory.tolist() == [False, False, False, True, True, False]
 
 
+def compared(cameras: list[Camera], found: list[Features]) -> list[Pair]:
+    """Return the pairs (0, 1), (0, 2) and (1, 2) of three photographs, with all their matches."""
+    pairs = []
+    for one, other in [(0, 1), (0, 2), (1, 2)]:
+        matches = match(found[one], found[other])
+        places = (found[one].pixels[matches[:, 0]], found[other].pixels[matches[:, 1]])
+        residuals = epipolar_residuals(cameras[one], cameras[other], *places)
+        pairs.append(Pair(one, other, matches, np.ones(40, bool), residuals, np.zeros(40, bool), 0, 1.0))
+    return pairs
+
+
+def test_a_wrong_camera_does_not_accuse_a_pair_of_right_ones() -> None:
+    """Check it where the right ones share their points with no other photograph."""
+    turn = np.eye(4)
+    turn[:3, :3] = cv2.Rodrigues(np.array([0.3, 0.3, 0.5]))[0]
+    third = replace(CAMERAS[2], cam_from_world=turn @ CAMERAS[2].cam_from_world)
+    cameras, found = [*CAMERAS[:2], third], features()
+    verdicts = judge(cameras, found[:3], compared(cameras, found)).verdicts
+    assert verdicts == (Verdict.AGREES, Verdict.CONTRADICTS, Verdict.CONTRADICTS)
+
+
 def test_a_camera_that_moved_along_its_epipolar_lines_is_told() -> None:
     """Check that three photographs tell what two can't: the third camera stands elsewhere on its line to the first."""
     first, second, third = CAMERAS[:3]
@@ -94,13 +116,7 @@ def test_a_camera_that_moved_along_its_epipolar_lines_is_told() -> None:
         (CAMERAS[:3], Verdict.AGREES),
         ([first, second, replace(third, cam_from_world=beyond)], Verdict.CONTRADICTS),
     ):
-        edges = [(0, 1), (0, 2), (1, 2)]
-        pairs = []
-        for one, other in edges:
-            matches = match(found[one], found[other])
-            places = (found[one].pixels[matches[:, 0]], found[other].pixels[matches[:, 1]])
-            residuals = epipolar_residuals(cameras[one], cameras[other], *places)
-            pairs.append(Pair(one, other, matches, np.ones(40, bool), residuals, np.zeros(40, bool), 0, 1.0))
+        pairs = compared(cameras, found)
         assert pairs[1].residual < 1e-6
         assert judge(cameras, found[:3], pairs).verdicts[1] is verdict
 

@@ -70,8 +70,8 @@ def judge(
 
     A pair agrees if it belongs to three photographs whose rays meet. A pair contradicts if the rays miss each other in
     all triples that contain it, and if no other pairs prove it. A triple whose third photograph contradicts both others
-    by the epipolar lines says nothing about their pair, if that pair is as near to its lines as most. Of a photograph
-    that more pairs contradict than triples prove, only such exact pairs agree by the lines alone.
+    by the epipolar lines says nothing about their pair, if that pair is as near to its lines as most. A photograph
+    that no triple proves, and several pairs contradict, agrees with others by the lines alone only in such exact pairs.
     """
     limits = options.verdicts
     usual = min(usual_residual(pairs, options.pairs.min_matches), limits.max_usual)
@@ -84,8 +84,8 @@ def judge(
     exact = {(pair.one, pair.other) for pair in pairs if pair.residual <= usual}
     missed = {edge for triple, good in meets.items() if not good for edge in _suspects(triple, off, exact)} - met
     against = missed | off
-    doubted = {photo for edge in against for photo in edge}
-    doubted = {photo for photo in doubted if _count(against, photo) > _count(met, photo)}
+    unproven = {photo for edge in against for photo in edge} - {photo for edge in met for photo in edge}
+    doubted = {photo for photo in unproven if sum(photo in edge for edge in against) > limits.tolerated}
     verdicts = []
     for pair, line in zip(pairs, lines, strict=True):
         edge = (pair.one, pair.other)
@@ -94,8 +94,8 @@ def judge(
         elif edge in met:
             verdicts.append(Verdict.AGREES)
         else:
-            unproven = line is Verdict.AGREES and edge not in exact and not doubted.isdisjoint(edge)
-            verdicts.append(Verdict.UNKNOWN if unproven else line)
+            weak = line is Verdict.AGREES and edge not in exact and not doubted.isdisjoint(edge)
+            verdicts.append(Verdict.UNKNOWN if weak else line)
     return Judged(tuple(pairs), tuple(verdicts), tuple(lines))
 
 
@@ -116,11 +116,6 @@ Edge = tuple[int, int]
 def _edges(triple: Triple) -> tuple[Edge, ...]:
     i, j, k = triple
     return (i, j), (i, k), (j, k)
-
-
-def _count(edges: set[Edge], photo: int) -> int:
-    """Return the number of pairs that contain a photograph."""
-    return sum(photo in edge for edge in edges)
 
 
 def _suspects(triple: Triple, off: set[Edge], exact: set[Edge]) -> list[Edge]:

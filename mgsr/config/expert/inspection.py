@@ -56,6 +56,7 @@ class VerdictOptions(Options):
     meets_usual: NotNegative = 4.0  # multiple of the usual residual by which such rays may miss each other
     max_usual: NotNegative = 4.0  # pixels; largest usual residual that counts
     min_shared: Count = 8  # least points that three photographs share to count as evidence
+    tolerated: WholeNumber = 2  # contradicting pairs of an unproven photograph that cast no doubt on its other pairs
 
 
 @dataclass(frozen=True)

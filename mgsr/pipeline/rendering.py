@@ -150,8 +150,8 @@ def masked_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
     """Return the scene with the masks for surface extraction: its own, or the opacity of the branch that renders.
 
     Before a plain backdrop, opacity covers only the object. Inexact masks err differently in each photograph. The 3D
-    branch learned from all of them, so its opacity errs less and agrees between the views. Without masks and backdrop,
-    the scene is unchanged.
+    branch learned from all of them, so its opacity errs less and agrees between the views. All other scenes are
+    unchanged: those with exact masks, those without masks or backdrop, and inexact masks without a 3D branch.
     """
     inexact = scene.masks_inexact and model.gaussians is not None
     if not (inexact or scene.backdrop(config.train.background).plain):

@@ -114,7 +114,8 @@ def _about_input(data: ReportData) -> Iterator[Decision]:
         yield Decision("Masks", "found", why)
     elif given.mask_error is not None:
         why = (
-            f"Their contours contradict each other by {given.mask_error:.1f} pixels, so the surface follows them less."
+            f"Their contours contradict each other by {given.mask_error:.1f} pixels, so the surface follows them less. "
+            "If the 3D branch was trained, its opacity outlines the final surface instead of them."
         )
         yield Decision("Masks", "used as inexact", why)
     elif given.masked:

@@ -67,13 +67,14 @@ def _beside_masks(row: Row, masked: Row | None) -> list[str]:
 def methods_section(evidence: Evidence) -> str:
     """Return the plot of error over seconds, and the rows behind it."""
     plain = [row for row in evidence.rows if not row.variant]
-    head = ["scene", "method", "preset", "seconds", "start", "train", "mesh", "PSNR", "on the object", "Chamfer", "NC"]
+    head = ["scene", "method", "preset", "program", "machine", "seconds", "start", "train", "mesh", "PSNR"]
+    head += ["on the object", "Chamfer", "NC"]
     forms = (
         *(("seconds", ".0f"), ("start_seconds", ".0f"), ("train_seconds", ".0f"), ("mesh_seconds", ".0f")),
         *(("psnr", ".2f"), ("psnr_object", ".2f"), ("chamfer", ".2f"), ("normal_consistency", ".2f")),
     )
     cells = [
-        _run_cells(row)
+        [*_run_cells(row), row.commit[:7], row.machine]
         + [
             number(getattr(row, field), form) + ("*" if field == "seconds" and is_busy(row) else "")
             for field, form in forms
@@ -86,8 +87,9 @@ def methods_section(evidence: Evidence) -> str:
             "![Chamfer, normal consistency and PSNR over seconds, one column per scene. A dot is a finished run, a "
             f"dotted line the PSNR of some test views during training]({image('error_seconds.svg')})",
             markdown(head, cells),
-            "A star marks runs during which other programs kept the machine busy. Dotted lines are of two test "
-            "views and dots of all, so a line need not end at its dot. Chamfer has a logarithmic scale.",
+            "Compare seconds only between runs of the same program on the same machine. A star marks runs during "
+            "which other programs kept the machine busy. Dotted lines are of two test views and dots of all, so a "
+            "line need not end at its dot. Chamfer has a logarithmic scale.",
             *_method_words(evidence),
         )
     )

@@ -31,6 +31,8 @@ from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.data.silhouettes import view_silhouettes
 from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.triangles import unit_vectors
+from mgsr.geometry.vectors import dots
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.metrics.surface import surface_metrics
 from mgsr.metrics.truth import TrueSurface
@@ -93,6 +95,7 @@ def measured(scene: BenchmarkScene, path: Path, given: argparse.Namespace) -> Se
         hull_chamfer=1000 * hull["chamfer"],
         hull_normal_error=hull["normal_error"],
         floor_chamfer=1000 * floor["chamfer"],
+        facet_angle=facet_angle(path),
         psnr=report["psnr_test"],
         preset=report["preset"],
         seed=report["seed"],
@@ -107,6 +110,20 @@ def reference_scores(path: Path) -> tuple[dict[str, float], dict[str, float]]:
     hull = carve(view_silhouettes(scene.train, options.mask_side), np.zeros(3), 1.05, options.resolution)
     floor = {} if truth is None else surface_metrics(truth.mesh, truth)
     return scores_of(Mesh(*hull_surface(hull)), scene, truth), floor
+
+
+def facet_angle(path: Path) -> float:
+    """Return the mean angle, in degrees, between the shading normals and the facets of a scene's true mesh.
+
+    It is the mean over the test views of the mean over their pixels, like the normal error of a run. path: the scene's
+    folder, in which the renderer left both normals of each pixel (`geom`).
+    """
+    errors = []
+    for file in sorted((path / "geom").glob("*.npz")):
+        seen = np.load(file)
+        shaded, facet = (unit_vectors(seen[name][seen["mask"]].astype(float)) for name in ("normal", "normal_geo"))
+        errors.append(np.degrees(np.arccos(np.clip(dots(shaded, facet), -1, 1))).mean())
+    return float(np.mean(errors))
 
 
 def scores_of(mesh: Mesh, scene: Scene, truth: TrueSurface | None) -> dict[str, float]:

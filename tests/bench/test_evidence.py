@@ -175,14 +175,17 @@ def test_an_older_run_stays_for_another_method_of_its_commit() -> None:
 
 
 def test_the_two_sets_and_the_gap_between_them(tmp_path: Path) -> None:
-    apple = SetRow("apple", TUNING, "matte", 1.5, 4.0, 3.0, 10.0, 1.1, 40.0, "standard", 0, "abc")
+    apple = SetRow("apple", TUNING, "matte", 1.5, 4.0, 3.0, 10.0, 1.1, 2.5, 40.0, "standard", 0, "abc")
     pear = replace(apple, scene="pear", chamfer=2.5, hull_chamfer=10.0)
     fig = replace(apple, scene="fig", set=JUDGING, chamfer=4.4, hull_chamfer=4.0)
     write_csv(tmp_path / "sets.csv", SetRow, [apple, pear, fig], digits=5)
     assert read_csv(tmp_path / "sets.csv", SetRow) == [apple, pear, fig]
     text = sets_section([apple, pear, fig])
     assert text.index("| pear") < text.index("| apple") < text.index("| fig") and "| 2.50 (1.10, 10.00) | 25% |" in text
-    assert "tuning set's 2 scenes have a mean Chamfer of 2.00 and a mean normal error of 4.0 degrees." in text
+    assert (
+        "tuning set's 2 scenes have a mean Chamfer of 2.00 and a mean normal error of 4.0 degrees, with a mean" in text
+    )
+    assert "mean facet angle of 2.5." in text
     assert "No scene is worse than its hull." in text
     assert "These scenes are worse than their hull: fig." in text
     assert "Chamfer is 38% of the hull's on the tuning set and 110% on the judging set." in text
@@ -190,11 +193,14 @@ def test_the_two_sets_and_the_gap_between_them(tmp_path: Path) -> None:
 
 
 def test_a_scene_with_several_seeds_has_their_mean_and_range() -> None:
-    apple = SetRow("apple", TUNING, "matte", 1.5, 4.0, 4.0, 10.0, 1.1, 40.0, "standard", 0, "abc")
+    apple = SetRow("apple", TUNING, "matte", 1.5, 4.0, 4.0, 10.0, 1.1, 2.5, 40.0, "standard", 0, "abc")
     pear = replace(apple, scene="pear", chamfer=4.0)
     text = sets_section([apple, pear, replace(apple, chamfer=2.5, normal_error=5.0, seed=1)])
-    assert "| 2.00, 1.50 to 2.50 (1.10, 4.00) | 50% | 4.5 (10.0) |" in text
-    assert "tuning set's 2 scenes have a mean Chamfer of 3.00 and a mean normal error of 4.2 degrees." in text
+    assert "| 2.00, 1.50 to 2.50 (1.10, 4.00) | 50% | 4.5 (2.5, 10.0) |" in text
+    assert (
+        "tuning set's 2 scenes have a mean Chamfer of 3.00 and a mean normal error of 4.2 degrees, with a mean" in text
+    )
+    assert "mean facet angle of 2.5." in text
 
 
 @pytest.mark.parametrize("section", [start_section, finish_section])

@@ -33,6 +33,7 @@ from benchmarks.render_scenes import (
     tool_arguments,
     tool_for,
 )
+from benchmarks.scene_scores import facet_angle
 from benchmarks.scene_sets import READY_MADE, RENDERED, SCENES, BenchmarkScene, Cameras, Kind, SceneSet, Shape
 
 HOMER = next(scene for scene in RENDERED if scene.name == "homer_gold_hdr")
@@ -222,3 +223,14 @@ def test_the_mushroom_has_its_gills() -> None:
     turns = np.radians(np.arange(-45, 46, 15))
     assert thicknesses[1:-1] == pytest.approx(GILL_THICKNESS / np.cos(turns), rel=0.04)
     assert (thicknesses[[0, -1]] > CAP_THICKNESS).all()
+
+
+def test_the_facet_angle_lies_between_shading_normals_and_facets(tmp_path: Path) -> None:
+    (tmp_path / "geom").mkdir()
+    up, tilted = np.array([0.0, 0.0, 1.0]), np.array([0.0, np.sin(np.radians(8)), np.cos(np.radians(8))])
+    mask = np.array([[True, True, True, False]])
+    for view, tilts in enumerate(((0, 0, 0), (8, 8, 0))):
+        facets = np.stack([tilted if tilt else up for tilt in (*tilts, 8)])[None].astype(np.float32)
+        shading = np.broadcast_to(up, facets.shape).astype(np.float32)
+        np.savez(tmp_path / "geom" / f"r_{view}.npz", normal=shading, normal_geo=facets, mask=mask)
+    assert facet_angle(tmp_path) == pytest.approx((0 + 16 / 3) / 2, abs=1e-3)

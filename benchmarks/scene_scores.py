@@ -118,12 +118,12 @@ def facet_angle(path: Path) -> float:
     It is the mean over the test views of the mean over their pixels, like the normal error of a run. path: the scene's
     folder, in which the renderer left both normals of each pixel (`geom`).
     """
-    errors = []
+    angles = []
     for file in sorted((path / "geom").glob("*.npz")):
         seen = np.load(file)
         shaded, facet = (unit_vectors(seen[name][seen["mask"]].astype(float)) for name in ("normal", "normal_geo"))
-        errors.append(np.degrees(np.arccos(np.clip(dots(shaded, facet), -1, 1))).mean())
-    return float(np.mean(errors))
+        angles.append(np.degrees(np.arccos(np.clip(dots(shaded, facet), -1, 1))).mean())
+    return float(np.mean(angles))
 
 
 def scores_of(mesh: Mesh, scene: Scene, truth: TrueSurface | None) -> dict[str, float]:

@@ -61,11 +61,12 @@ def find_surface(
 
     Raises SceneError if the hull is empty.
     """
-    passes, last = _far_passes(expert.start.surface), _near_passes(expert.start.surface)
+    options = expert.start.surface
+    passes, last = _far_passes(options), _near_passes(options)
     mesh = _hull_or_stereo_surface(photos, hull, seed, progress, expert)
     progress(FUSED)
     far, near = _between(progress, FUSED, FAR_SHADED), _between(progress, NEAR_STARTED, NEAR_SHADED)
-    mesh, estimate = _refined(mesh, photos, LightEstimate(), passes, far, expert)
+    mesh, estimate = _refined(mesh, photos, LightEstimate(), passes, far, expert, options.max_bent_residual)
     if estimate.kind in last:
         mesh, estimate = _refined(mesh, photos, estimate, last, near, expert)
     progress(1.0)
@@ -168,12 +169,21 @@ def _refined(
     passes: Mapping[LightKind, Sequence[ShadingPass]],
     progress: Callable[[float], None],
     expert: ExpertConfig,
+    max_residual: float = np.inf,
 ) -> tuple[Mesh, LightEstimate]:
-    """Estimate the light on the mesh, then refine the mesh by shape from shading and photometrically."""
+    """Estimate the light on the mesh, then refine the mesh by shape from shading and photometrically.
+
+    max_residual: the largest residual under an environment map that the bent mesh may have, as a share of the residual
+    before. If more is left, the map does not explain the brightness: the mesh stays, and the light is unknown.
+    """
     options, light, reach = expert.shading, expert.shading.light, expert.start.surface.photometric_reach
     estimate = estimate_light(mesh, photos, light.max_environment_ratio, known, light)
-    mesh = shape_from_shading(mesh, photos, estimate, passes, progress, options=options.shape)
-    moved = refine_photometrically(mesh, photos, reach, estimate.model, options=options.photometric)
+    bent = shape_from_shading(mesh, photos, estimate, passes, progress, options=options.shape)
+    if estimate.kind is LightKind.ENVIRONMENT and np.isfinite(max_residual):
+        before, after = (each.ratio for each in environment_residuals((mesh, bent), photos, light.environment))
+        if after > max_residual * before:
+            bent, estimate = mesh, LightEstimate(searches=estimate.searches)
+    moved = refine_photometrically(bent, photos, reach, estimate.model, options=options.photometric)
     return moved, estimate
 
 

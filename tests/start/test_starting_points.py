@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import trimesh
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from mgsr.config import DataConfig, Masks
+from mgsr.config import DataConfig, Masks, make_config
 from mgsr.config.expert import EnvironmentOptions
 from mgsr.data.hull import Hull, carve, hull_surface, signed_field
 from mgsr.data.readers import load_scene
@@ -208,6 +208,43 @@ def test_a_mirror_is_not_carved(mirror: Scene, monkeypatch: pytest.MonkeyPatch) 
     assert off_the_ball(inner) > 3 * off_the_ball(outer), "stereo alone digs into it"
     assert compared[0].ratio < 0.8 * compared[1].ratio
     assert off_the_ball(positions) < 1.2 * off_the_ball(outer)
+
+
+def roughened(mesh: Mesh, *rest: object, **more: object) -> Mesh:
+    """Bend a mesh as wrong normals would."""
+    noise = 0.01 * np.random.default_rng(0).standard_normal(len(mesh.vertices))
+    return mesh.moved(mesh.vertices + noise[:, None] * mesh.double_normals)
+
+
+def rounded(mesh: Mesh, *rest: object, **more: object) -> Mesh:
+    """Bend a mesh to the true ball."""
+    return mesh.moved(0.7 * mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True))
+
+
+@pytest.mark.parametrize(
+    ("bend", "at_most", "stays"), [(roughened, 0.94, False), (roughened, 1000.0, True), (rounded, 0.94, True)]
+)
+def test_shape_from_shading_must_explain_the_brightness(
+    mirror: Scene, monkeypatch: pytest.MonkeyPatch, bend: Callable[..., Mesh], at_most: float, stays: bool
+) -> None:
+    """Check that the surface bends only if one environment map then leaves clearly less residual."""
+    bent: list[Mesh] = []
+    moved: list[Mesh] = []
+
+    def bend_once(mesh: Mesh, *rest: object, **more: object) -> Mesh:
+        bent.append(bend(mesh))
+        return bent[-1]
+
+    def keep(mesh: Mesh, *rest: object, **more: object) -> Mesh:
+        moved.append(mesh)
+        return mesh
+
+    monkeypatch.setattr(masked_surface, "shape_from_shading", bend_once)
+    monkeypatch.setattr(masked_surface, "refine_photometrically", keep)
+    expert = make_config(overrides={"max_bent_residual": at_most}).expert
+    found = starting_points(mirror, 500, seed=0, expert=expert)
+    assert (moved[0] is bent[0]) == stays and len(bent) == (2 if stays else 1)
+    assert found.shiny is stays
 
 
 def smaller_hull(cameras: object, maps: object, weights: object, hull: Hull, *rest: object) -> Mesh:

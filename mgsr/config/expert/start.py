@@ -32,6 +32,8 @@ class FirstSurfaceOptions(Options):
     photometric_reach: Positive = 5.0  # pixels over which the photometric refinement spreads a displacement
     flash_coarse: ShadingPass = field(default_factory=lambda: ShadingPass(edge=2.0, rounds=6, reach=160.0))
     flash_fine: ShadingPass = field(default_factory=lambda: ShadingPass(edge=1.5, rounds=3, reach=60.0))
+    max_bent_residual: NotNegative = 0.94  # largest residual under an environment map after shape from shading, as a
+    # share of that before; with more, brightness differs for other reasons, and the surface stays
     environment_repeats: Count = 3  # times that the pass environment_coarse is run
     environment_coarse: ShadingPass = field(default_factory=lambda: ShadingPass(3.0, 2, 240.0, bilateral_angle=17.0))
     environment_medium: ShadingPass = field(default_factory=lambda: ShadingPass(2.0, 2, 240.0, bilateral_angle=17.0))

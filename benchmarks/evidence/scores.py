@@ -87,9 +87,10 @@ def methods_section(evidence: Evidence) -> str:
             "![Chamfer, normal consistency and PSNR over seconds, one column per scene. A dot is a finished run, a "
             f"dotted line the PSNR of some test views during training]({image('error_seconds.svg')})",
             markdown(head, cells),
-            "Compare seconds only between runs of the same program on the same machine. A star marks runs during "
-            "which other programs kept the machine busy. Dotted lines are of two test views and dots of all, so a "
-            "line need not end at its dot. Chamfer has a logarithmic scale.",
+            "Compare seconds only between runs on the same machine. Rows of different programs differ in more than the "
+            "method and the preset. A star marks runs during which other programs kept the machine busy. Dotted lines "
+            "are of two test views and dots of all, so a line need not end at its dot. Chamfer has a logarithmic "
+            "scale.",
             *_method_words(evidence),
         )
     )

@@ -109,13 +109,14 @@ def _about_input(data: ReportData) -> Iterator[Decision]:
     given = data.input
     if given is None:
         return
+    traced = " The opacity of the 3D branch outlines the final surface." if data.gaussians.get("gaussians") else ""
     if given.masks_found:
-        why = "One object stands out in the photographs. Everything around it is background."
+        why = f"One object stands out in the photographs. Everything around it is background.{traced}"
         yield Decision("Masks", "found", why)
     elif given.mask_error is not None:
         why = (
-            f"Their contours contradict each other by {given.mask_error:.1f} pixels, so the surface follows them less. "
-            "If the 3D branch was trained, its opacity outlines the final surface instead of them."
+            f"Their contours contradict each other by {given.mask_error:.1f} pixels, so the surface follows them less."
+            f"{traced}"
         )
         yield Decision("Masks", "used as inexact", why)
     elif given.masked:

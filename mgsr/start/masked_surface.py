@@ -169,17 +169,18 @@ def _refined(
     passes: Mapping[LightKind, Sequence[ShadingPass]],
     progress: Callable[[float], None],
     expert: ExpertConfig,
-    max_residual: float = np.inf,
+    max_residual: float | None = None,
 ) -> tuple[Mesh, LightEstimate]:
     """Estimate the light on the mesh, then refine the mesh by shape from shading and photometrically.
 
     max_residual: the largest residual under an environment map that the bent mesh may have, as a share of the residual
-    before. If more is left, the map does not explain the brightness: the mesh stays, and the light is unknown.
+    before; None for any. If more is left, the map does not explain the brightness: the mesh stays, and the light is
+    unknown.
     """
     options, light, reach = expert.shading, expert.shading.light, expert.start.surface.photometric_reach
     estimate = estimate_light(mesh, photos, light.max_environment_ratio, known, light)
     bent = shape_from_shading(mesh, photos, estimate, passes, progress, options=options.shape)
-    if estimate.kind is LightKind.ENVIRONMENT and np.isfinite(max_residual):
+    if max_residual is not None and estimate.kind is LightKind.ENVIRONMENT:
         before, after = (each.ratio for each in environment_residuals((mesh, bent), photos, light.environment))
         if after > max_residual * before:
             bent, estimate = mesh, LightEstimate(searches=estimate.searches)

@@ -70,6 +70,9 @@ def test_photometric_refinement_has_its_reason(light: str, masks: str, moved: bo
     assert decision.choice == choice and why in decision.why
     choices = {"given": "used", "found": "found", "inexact": "used as inexact", "none": "not used"}
     assert reported["Masks"].choice == choices[masks]
+    assert ("opacity of the 3D branch" in reported["Masks"].why) == (masks in ("found", "inexact"))
+    alone = {each.what: each for each in tell_decisions(replace(run, gaussians={"surfels": 900}))}
+    assert "opacity" not in alone["Masks"].why
 
 
 def test_the_reflected_light_is_told_with_its_reason() -> None:

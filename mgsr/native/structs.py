@@ -189,13 +189,15 @@ class EnvironmentMapLookup(NamedTuple):
     """A look-up of environment maps along the rays that normals reflect.
 
     maps [2,S,S,3].
-    normals [H,W,3]: in the world frame.
+    normals [H,W,3]: one in each pixel, in the world frame, of any length; None with samples.
+    samples [P,N,N,3]: normals in N rows and columns of each pixel, as long as their weights; None with normals.
     pixels [P] int64: row * width + column of the pixels to compute, None for all.
     camera: the image's camera.
     """
 
     maps: Tensor
-    normals: Tensor
+    normals: Tensor | None
+    samples: Tensor | None
     pixels: Tensor | None
     camera: PinholeCamera
 

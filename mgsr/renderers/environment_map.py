@@ -1,8 +1,8 @@
 """The environment map in each pixel, looked up where the normal reflects the line of sight.
 
-Deferred shading: the line of sight is reflected once a pixel, at the 2D branch's blended normals, or at the mesh once
-there is one. Highlights thus follow the shape, also in views and places without a photograph of them. Where photographs
-show highlights, they improve the 2D branch's normals.
+Deferred shading: the line of sight is reflected at the 2D branch's blended normals, once a pixel, or at the mesh once
+there is one, in several samples of a pixel. Highlights thus follow the shape, also in views and places without a
+photograph of them. Where photographs show highlights, they improve the 2D branch's normals.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from mgsr.data.camera import Camera
 from mgsr.gaussians.environment_map import EnvironmentMap, RenderedMap
-from mgsr.ops.environment_map import look_up_environment_map
+from mgsr.ops.environment_map import look_up_environment_map, look_up_samples
 
 
 def reflected_environment(
@@ -25,23 +25,19 @@ def reflected_environment(
     """Return the light [H,W,3] that each pixel's surface reflects towards the camera.
 
     normal [H,W,3]: the 2D branch's, world frame, of any length, for a map without a reflector; where it is zero, the
-    result is undefined. pixels [P] int64: which to look at, row x W + column, each once; elsewhere the result is 0; by
-    default all, or those at the reflector. rendered: the result of `EnvironmentMap.rendered`, if already computed.
-    Gradients flow to the map and to the normals.
+    result is undefined. pixels [P] int64: which to look at, row x W + column, each once, for a map without a reflector;
+    elsewhere the result is 0; by default all. A reflector is looked at wherever it is, and beside it. rendered: the
+    result of `EnvironmentMap.rendered`, if already computed. Gradients flow to the map and to the normals.
     """
     rendered = environment_map.rendered() if rendered is None else rendered
     if environment_map.reflector is None:
         assert normal is not None
         return look_up_environment_map(rendered.texels, normal, camera, pixels)
     seen = environment_map.reflector.seen_by(camera, rendered.texels.device)
-    shown = look_up_environment_map(
-        rendered.texels, seen.normals.float(), camera, seen.near if pixels is None else pixels
-    )
+    shown = look_up_samples(rendered.texels, seen.samples.float(), camera, seen.pixels)
     if not len(seen.bounced):
         return shown
-    left = shown.new_ones(camera.height * camera.width, 3)
-    left = left.index_copy(0, seen.bounced, rendered.bounce.expand(len(seen.bounced), 3))
-    return shown * left.view(camera.height, camera.width, 3)
+    return shown + rendered.bounce * look_up_samples(rendered.texels, seen.bounced.float(), camera, seen.bounced_pixels)
 
 
 def octahedral(directions: Tensor) -> Tensor:

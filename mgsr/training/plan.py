@@ -69,6 +69,7 @@ class Plan:
             return False
         if any(view.mask is None for view in finish.views):
             return False
+        reflector.prepare((view.camera for view in finish.views), light.device)
         light.model.reflector = reflector
         finish.iterations = light.settings.iterations
         return True

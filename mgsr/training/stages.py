@@ -187,7 +187,7 @@ class ReflectingSurface:
         """Return the environment map's reflection at each pixel of a view, [H,W,3]."""
         model = self.environment_map.model
         if model.reflector is not None:
-            return reflected_environment(model, view.camera, pixels=view.covered, rendered=rendered)
+            return reflected_environment(model, view.camera, rendered=rendered)
         key = (view.name, view.camera.height)
         normal = self.kept.get(key)
         if normal is None:

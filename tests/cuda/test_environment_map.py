@@ -5,10 +5,20 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mgsr.ops.environment_map import look_up_environment_map
+from mgsr.ops.environment_map import look_up_environment_map, look_up_samples
 from tests.cuda.machines import Machine, on_each_machine, on_each_machine_and_order
 from tests.ops.test_depth_normals import turned_camera
-from tests.ops.test_environment_map import Scene, assert_close, expected_of, gradients, scene, some_pixels
+from tests.ops.test_environment_map import (
+    Scene,
+    assert_close,
+    expected_of,
+    expected_of_samples,
+    gradients,
+    sample_gradients,
+    samples_of,
+    scene,
+    some_pixels,
+)
 
 
 def run(
@@ -31,6 +41,26 @@ def run(
 def test_matches_the_oracle(machine: Machine, size: tuple[int, int], side: int, chosen: bool) -> None:
     parts, pixels = scene(*size, side), some_pixels(*size) if chosen else None
     assert_close(run(machine, parts, size, pixels), expected_of(parts, turned_camera(*size), pixels))
+
+
+def run_samples(machine: Machine, parts: Scene, size: tuple[int, int], rows: int) -> list[torch.Tensor]:
+    """Return the light and the maps' gradient of samples in some pixels, on the CPU."""
+    pixels = some_pixels(*size)
+    samples, there = (t.to(machine.device) for t in (samples_of(pixels, rows), pixels))
+    maps, _, v_light = (t.to(machine.device) for t in parts)
+    with machine.running():
+        came = sample_gradients(lambda m: look_up_samples(m, samples, turned_camera(*size), there), maps, v_light)
+    return [t.cpu() for t in came]
+
+
+@on_each_machine_and_order
+@pytest.mark.parametrize("size", [(1, 1), (33, 20)])
+@pytest.mark.parametrize("side", [1, 9])
+@pytest.mark.parametrize("rows", [1, 3])
+def test_samples_match_the_oracle(machine: Machine, size: tuple[int, int], side: int, rows: int) -> None:
+    parts, pixels = scene(*size, side), some_pixels(*size)
+    expected = expected_of_samples(parts, samples_of(pixels, rows), turned_camera(*size), pixels)
+    assert_close(run_samples(machine, parts, size, rows), expected)
 
 
 @on_each_machine
@@ -70,4 +100,6 @@ def test_the_same_bytes_at_every_run(machine: Machine) -> None:
     parts = scene(40, 50, 3)
     reference = machine.ascending()
     before, after = run(reference, parts, (40, 50)), run(machine, parts, (40, 50))
+    assert all(torch.equal(a, b) for a, b in zip(before, after, strict=True))
+    before, after = run_samples(reference, parts, (40, 50), 2), run_samples(machine, parts, (40, 50), 2)
     assert all(torch.equal(a, b) for a, b in zip(before, after, strict=True))

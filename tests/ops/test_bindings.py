@@ -121,8 +121,9 @@ def colors() -> list[Call]:
     )
     rgb, v_means = torch.rand(COUNT, 3), torch.zeros(COUNT, 3)
     lookup = structs.EnvironmentMapLookup(
-        maps=torch.rand(2, 4, 4, 3), normals=torch.rand(TRIPLE), pixels=None, camera=CAMERA
+        maps=torch.rand(2, 4, 4, 3), normals=torch.rand(TRIPLE), samples=None, pixels=None, camera=CAMERA
     )
+    fine = lookup._replace(normals=None, samples=torch.rand(2, 3, 3, 3), pixels=torch.tensor([1, 0]))
     gradients = {"v_maps": torch.empty(2, 4, 4, 3), "v_normals": torch.empty(TRIPLE)}
     return [
         Call(_harmonics.forward, {"splats": splats, "rgb": rgb}, ("rgb",)),
@@ -134,6 +135,12 @@ def colors() -> list[Call]:
         Call(_environment_map.forward, {"lookup": lookup, "light": torch.empty(TRIPLE)}, ("light",)),
         Call(
             _environment_map.backward, {"lookup": lookup, "v_light": torch.rand(TRIPLE), **gradients}, tuple(gradients)
+        ),
+        Call(_environment_map.forward, {"lookup": fine, "light": torch.empty(TRIPLE)}, ("light",)),
+        Call(
+            _environment_map.backward,
+            {"lookup": fine, "v_light": torch.rand(TRIPLE), **gradients, "v_normals": None},
+            ("v_maps",),
         ),
     ]
 

@@ -12,7 +12,7 @@ import torch
 from mgsr.data.camera import Camera
 from mgsr.errors import TensorError
 from mgsr.native import _environment_map
-from mgsr.ops.environment_map import look_up_environment_map
+from mgsr.ops.environment_map import look_up_environment_map, look_up_samples
 from tests.ops.test_depth_normals import turned_camera
 from tests.ops.variants import ISAS, variant
 from tests.optional import present
@@ -54,13 +54,38 @@ def expected_of(scene: Scene, camera: Camera, pixels: torch.Tensor | None = None
     return gradients(lambda m, n: oracle.look_up_environment_map(m, n, K, pose, pixels), *doubles)
 
 
+def samples_of(pixels: torch.Tensor, rows: int) -> torch.Tensor:
+    """Draw samples [P,N,N,3] of all directions and lengths; a third have no weight, and a pixel may have none."""
+    generator = torch.Generator().manual_seed(rows)
+    samples = torch.randn(len(pixels), rows, rows, 3, generator=generator)
+    return samples * (torch.rand(len(pixels), rows, rows, 1, generator=generator) > 0.3)
+
+
+def sample_gradients(
+    function: Callable[[torch.Tensor], torch.Tensor], maps: torch.Tensor, v_light: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    maps = maps.clone().requires_grad_()
+    light = function(maps)
+    light.backward(v_light)
+    return light.detach(), present(maps.grad)
+
+
+def expected_of_samples(
+    parts: Scene, samples: torch.Tensor, camera: Camera, pixels: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the light and the maps' gradient of the oracle, in float64."""
+    K, pose, size = torch.from_numpy(camera.K), torch.from_numpy(camera.cam_from_world), (camera.height, camera.width)
+    maps, _, v_light = (t.double() for t in parts)
+    return sample_gradients(lambda m: oracle.look_up_samples(m, samples.double(), K, pose, pixels, size), maps, v_light)
+
+
 def assert_close(came: Sequence[torch.Tensor], expected: Sequence[torch.Tensor]) -> None:
     """Check light and gradients against the expected ones, with tolerances from float32's rounding.
 
     A float32 direction is off by some 3e-7, which is that times the side in texels, and so much of a step between
     texels of noise; gradients of short normals are as much larger as those are short.
     """
-    for name, a, b in zip(("light", "maps", "normals"), came, expected, strict=True):
+    for name, a, b in zip(("light", "maps", "normals")[: len(came)], came, expected, strict=True):
         assert (a.double() - b).abs().max() <= 2e-5 * b.abs().max(), name
 
 
@@ -74,6 +99,26 @@ def test_matches_the_oracle(isa: str, size: tuple[int, int], side: int, chosen: 
     with variant(_environment_map, isa):
         came = gradients(lambda m, n: look_up_environment_map(m, n, camera, pixels), *parts)
     assert_close(came, expected_of(parts, camera, pixels))
+
+
+@pytest.mark.parametrize("isa", ISAS)
+@pytest.mark.parametrize("size", [(1, 1), (9, 8), (33, 65)])
+@pytest.mark.parametrize("side", [1, 2, 16])
+@pytest.mark.parametrize("rows", [1, 2, 3])
+def test_samples_match_the_oracle(isa: str, size: tuple[int, int], side: int, rows: int) -> None:
+    parts, camera, pixels = scene(*size, side), turned_camera(*size), some_pixels(*size)
+    samples = samples_of(pixels, rows)
+    with variant(_environment_map, isa):
+        came = sample_gradients(lambda m: look_up_samples(m, samples, camera, pixels), parts[0], parts[2])
+    assert_close(came, expected_of_samples(parts, samples, camera, pixels))
+
+
+def test_one_sample_of_weight_1_is_a_normal() -> None:
+    parts, camera, pixels = scene(33, 65, 16), turned_camera(33, 65), some_pixels(33, 65)
+    unit = torch.nn.functional.normalize(parts[1], dim=-1)
+    whole = look_up_environment_map(parts[0], unit, camera, pixels)
+    shown = look_up_samples(parts[0], unit.view(-1, 1, 1, 3)[pixels], camera, pixels)
+    assert (shown - whole).abs().max() < 1e-6
 
 
 @pytest.mark.parametrize("isa", ISAS)
@@ -150,12 +195,24 @@ def test_same_bytes_for_any_thread_count() -> None:
                 results.append(gradients(partial(look_up_environment_map, camera=camera, pixels=pixels), *parts))
         for other in results[1:]:
             assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
+    pixels = some_pixels(150, 170)
+    samples = samples_of(pixels, 3)
+    of_samples = []
+    for threads in (1, 2, 5):
+        with variant(_environment_map, threads=threads):
+            shown = sample_gradients(lambda m: look_up_samples(m, samples, camera, pixels), parts[0], parts[2])
+        of_samples.append(shown)
+    for light, v_maps in of_samples[1:]:
+        assert torch.equal(light, of_samples[0][0]) and torch.equal(v_maps, of_samples[0][1])
 
 
 def test_no_pixels_no_light() -> None:
     parts, nothing = scene(5, 9, 8), torch.zeros(0, dtype=torch.int64)
     came = gradients(lambda m, n: look_up_environment_map(m, n, turned_camera(5, 9), nothing), *parts)
     assert not any(t.any() for t in came)
+    samples = torch.zeros(0, 2, 2, 3)
+    shown = sample_gradients(lambda m: look_up_samples(m, samples, turned_camera(5, 9), nothing), parts[0], parts[2])
+    assert not any(t.any() for t in shown)
 
 
 @pytest.mark.parametrize("wants", ["maps", "normals"])
@@ -182,3 +239,15 @@ def test_bad_arguments_are_named() -> None:
             look_up_environment_map(maps, normals, camera, pixels)
     with pytest.raises(ValueError, match="pixels"):
         look_up_environment_map(maps, normals, camera, torch.tensor([0, 45]))
+
+
+def test_bad_samples_are_named() -> None:
+    maps, pixels, camera = scene(5, 9, 8)[0], torch.tensor([3, 4]), turned_camera(5, 9)
+    with pytest.raises(TensorError, match="samples"):
+        look_up_samples(maps, torch.ones(2, 3, 2, 3), camera, pixels)
+    with pytest.raises(TensorError, match="samples: expected at least one"):
+        look_up_samples(maps, torch.ones(2, 0, 0, 3), camera, pixels)
+    with pytest.raises(TensorError, match="pixels: expected one for each of the 1"):
+        look_up_samples(maps, torch.ones(1, 2, 2, 3), camera, pixels)
+    with pytest.raises(ValueError, match="pixels"):
+        look_up_samples(maps, torch.ones(2, 2, 2, 3), camera, torch.tensor([0, 45]))

@@ -28,6 +28,22 @@ def look_up_environment_map(
     return torch.zeros_like(every).index_copy(0, pixels, colors).reshape(height, width, 3)
 
 
+def look_up_samples(
+    maps: Tensor, samples: Tensor, K: Tensor, cam_from_world: Tensor, pixels: Tensor, size: tuple[int, int]
+) -> Tensor:
+    """Return the light [H,W,3] of pixels [P] with samples [P,N,N,3], as the sum over an image N times as large."""
+    (height, width), rows = size, samples.shape[1]
+    fine = torch.zeros(height, rows, width, rows, 3, dtype=samples.dtype)
+    fine = fine.permute(0, 2, 1, 3, 4).reshape(height * width, rows, rows, 3).index_copy(0, pixels, samples)
+    normals = fine.view(height, width, rows, rows, 3).permute(0, 2, 1, 3, 4).reshape(height * rows, width * rows, 3)
+    larger = K.clone()
+    larger[:2] *= rows
+    weights = normals.square().sum(dim=-1, keepdim=True)
+    weights = torch.where(weights > 0, weights, 0).sqrt()
+    light = look_up_environment_map(maps, normals, larger, cam_from_world) * weights
+    return light.view(height, rows, width, rows, 3).sum(dim=(1, 3))
+
+
 def octahedral(directions: Tensor) -> Tensor:
     """Return the places [P,2] in -1..1 of directions [3,P]."""
     x, y, z = directions / directions.abs().sum(dim=0).clamp_min(1e-9)

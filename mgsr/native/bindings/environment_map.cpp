@@ -19,38 +19,48 @@ using Maps = Array<T, nb::shape<2, -1, -1, 3>>;
 template <class T>
 using Rgb = Array<T, nb::shape<-1, -1, 3>>;
 using Pixels = Array<const int64_t, nb::ndim<1>>;
-
-// Whether two arrays have the same number of rows and columns.
-template <class A, class B>
-bool same_size(const A& a, const B& b) {
-  return a.shape(0) == b.shape(0) && a.shape(1) == b.shape(1);
-}
+using Samples = Array<const float, nb::shape<-1, -1, -1, 3>>;
 
 // The struct EnvironmentMapLookup of structs.py.
 struct Lookup {
   explicit Lookup(const Fields& fields)
       : maps(fields.array<Maps<const float>>("maps")),
-        normals(fields.array<Rgb<const float>>("normals")),
+        normals(fields.array_or_none<Rgb<const float>>("normals")),
+        samples(fields.array_or_none<Samples>("samples")),
         pixels(fields.array_or_none<Pixels>("pixels")),
         camera(camera_of(fields.get("camera"))) {
     expect(maps.shape(1) == maps.shape(2) && maps.shape(1) > 0, "maps: expected square maps of one texel at least");
+    expect(normals.is_valid() != samples.is_valid(), "normals, samples: expected one of them");
+    if (normals.is_valid()) expect(fits(normals), "normals: expected the camera's size");
+    if (!samples.is_valid()) return;
+    expect(samples.shape(1) == samples.shape(2) && samples.shape(1) > 0,
+           "samples: expected as many columns as rows in a pixel, one at least");
+    expect(pixels.is_valid() && pixels.shape(0) == samples.shape(0), "pixels: expected one for each pixel of the samples");
+  }
+
+  // Whether an image [height, width, 3] has the camera's size.
+  template <class Image>
+  bool fits(const Image& image) const {
+    return float(image.shape(0)) == camera.height && float(image.shape(1)) == camera.width;
   }
 
   Maps<const float> maps;
   Rgb<const float> normals;
+  Samples samples;
   Pixels pixels;
   Camera<float> camera;
 };
 
 EnvironmentMapParams params_of(const Lookup& a) {
   EnvironmentMapParams p;
-  const int64_t all = int64_t(a.normals.shape(0)) * int64_t(a.normals.shape(1));
+  const int64_t all = int64_t(a.camera.height) * int64_t(a.camera.width);
   p.count = a.pixels.is_valid() ? int64_t(a.pixels.shape(0)) : all, p.pixels = pointer_or_null(a.pixels);
   bool inside = true;
   for (int64_t i = 0; p.pixels && i < p.count; ++i) inside &= uint64_t(p.pixels[i]) < uint64_t(all);
   expect(inside, "pixels: expected row * width + column of pixels inside the image");
-  p.width = int(a.normals.shape(1)), p.side = int(a.maps.shape(1));
-  p.maps = a.maps.data(), p.normals = a.normals.data();
+  p.width = int(a.camera.width), p.side = int(a.maps.shape(1));
+  p.samples = a.samples.is_valid() ? int(a.samples.shape(1)) : 0;
+  p.maps = a.maps.data(), p.normals = a.samples.is_valid() ? a.samples.data() : a.normals.data();
   std::copy(a.camera.R, a.camera.R + 9, p.cam_from_world);
   p.fx = a.camera.fx, p.fy = a.camera.fy, p.cx = a.camera.cx, p.cy = a.camera.cy;
   return p;
@@ -59,8 +69,8 @@ EnvironmentMapParams params_of(const Lookup& a) {
 void forward(nb::handle lookup, nb::handle light) {
   const Lookup a(Fields(lookup, "lookup"));
   const auto to_light = read<Rgb<float>>(light, "light");
+  expect(a.fits(to_light), "light: expected the camera's size");
   EnvironmentMapParams p = params_of(a);
-  expect(same_size(a.normals, to_light), "light: expected the normals' size");
   p.light = to_light.data();
   nb::gil_scoped_release release;
   choice()->forward(p);
@@ -72,8 +82,9 @@ void backward(nb::handle lookup, nb::handle v_light, nb::handle v_maps, nb::hand
   const auto to_maps = read_or_none<Maps<float>>(v_maps, "v_maps");
   const auto to_normals = read_or_none<Rgb<float>>(v_normals, "v_normals");
   EnvironmentMapParams p = params_of(a);
-  expect(same_size(a.normals, from_light), "v_light: expected the normals' size");
-  expect(!to_normals.is_valid() || same_size(a.normals, to_normals), "v_normals: expected the normals' size");
+  expect(a.fits(from_light), "v_light: expected the camera's size");
+  expect(!to_normals.is_valid() || (a.normals.is_valid() && a.fits(to_normals)),
+         "v_normals: expected normals, and the camera's size");
   expect(!to_maps.is_valid() || (to_maps.shape(1) == a.maps.shape(1) && to_maps.shape(2) == a.maps.shape(2)),
          "v_maps: expected the maps' size");
   p.v_light = from_light.data(), p.v_maps = pointer_or_null(to_maps), p.v_normals = pointer_or_null(to_normals);

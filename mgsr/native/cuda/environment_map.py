@@ -21,21 +21,19 @@ class EnvironmentMapParams(ctypes.Structure):
     _fields_ = (
         ("count", Long),
         ("pixels", Pointer),
-        ("width", Int),
-        ("side", Int),
+        *((name, Int) for name in ("width", "side", "samples")),
         *pointers("maps", "normals"),
         ("cam_from_world", Float * 9),
         *((name, Float) for name in ("fx", "fy", "cx", "cy")),
-        *pointers("light", "v_light", "v_normals", "cells", "places"),
+        *pointers("light", "v_light", "v_normals", "cells", "places", "weights"),
     )
 
 
 class CellParams(ctypes.Structure):
     _fields_ = (
         ("count", Long),
-        *pointers("pixels", "v_light", "places"),
-        ("side", Int),
-        *pointers("cells", "slots", "sums"),
+        *((name, Int) for name in ("side", "per_pixel")),
+        *pointers("pixels", "v_light", "weights", "places", "cells", "slots", "sums"),
     )
 
 
@@ -51,36 +49,45 @@ class EnvironmentMapKernels:
 
     def forward(self, lookup: EnvironmentMapLookup, light: Tensor) -> None:
         """Write light [H,W,3] at the pixels."""
-        self._launch_lookup("environment_map_forward", lookup, (light, None, None, None, None))
+        self._launch_lookup("environment_map_forward", lookup, _pixel_count(lookup), (light, *[None] * 5))
 
     def backward(
         self, lookup: EnvironmentMapLookup, v_light: Tensor, v_maps: Tensor | None, v_normals: Tensor | None
     ) -> None:
         """Write v_maps [2,S,S,3] and v_normals [H,W,3] at the pixels, given v_light [H,W,3]; None if not needed."""
-        count, normals = _count(lookup), lookup.normals
-        cells = places = None
+        count, maps = _sample_count(lookup), lookup.maps
+        cells = places = weights = None
         if v_maps is not None:
-            cells, places = normals.new_empty(2 * count, dtype=torch.int32), normals.new_empty(2 * count, 2)
-        self._launch_lookup("environment_map_backward", lookup, (None, v_light, v_normals, cells, places))
-        if v_maps is not None and cells is not None and places is not None:
-            self._add_up(count, lookup.pixels, v_light, cells, places, v_maps)
+            cells, places = maps.new_empty(2 * count, dtype=torch.int32), maps.new_empty(2 * count, 2)
+            weights = maps.new_empty(count)
+        self._launch_lookup(
+            "environment_map_backward", lookup, count, (None, v_light, v_normals, cells, places, weights)
+        )
+        if v_maps is not None and cells is not None:
+            cells, slots = torch.sort(cells, stable=True)
+            sums = maps.new_empty(2, *maps.shape[1:3], CELL_FIELDS)
+            self._add_up(lookup, (v_light, weights, places, cells, slots, sums), v_maps)
 
-    def _launch_lookup(self, kernel: str, lookup: EnvironmentMapLookup, arrays: tuple[Tensor | None, ...]) -> None:
-        maps, normals, pixels, camera = lookup
-        count = _count(lookup)
-        inputs = (count, pointer(pixels), normals.shape[1], maps.shape[1], pointer(maps), pointer(normals))
+    def _launch_lookup(
+        self, kernel: str, lookup: EnvironmentMapLookup, threads: int, arrays: tuple[Tensor | None, ...]
+    ) -> None:
+        maps, normals, samples, pixels, camera = lookup
+        sizes = (camera.width, maps.shape[1], 0 if samples is None else samples.shape[1])
+        inputs = (
+            _pixel_count(lookup),
+            pointer(pixels),
+            *sizes,
+            *addresses(maps, normals if samples is None else samples),
+        )
         lens = ((Float * 9)(*camera.cam_from_world[:3, :3].ravel().tolist()), *intrinsics(camera))
         params = EnvironmentMapParams(*inputs, *lens, *addresses(*arrays))
-        self._launcher.launch("environment_map", kernel, -(-count // THREADS), THREADS, params)
+        self._launcher.launch("environment_map", kernel, -(-threads // THREADS), THREADS, params)
 
-    def _add_up(
-        self, count: int, pixels: Tensor | None, v_light: Tensor, cells: Tensor, places: Tensor, v_maps: Tensor
-    ) -> None:
-        side = v_maps.shape[1]
-        cells, slots = torch.sort(cells, stable=True)
-        sums = v_maps.new_empty(2, side, side, CELL_FIELDS)
-        inputs = (count, pointer(pixels), pointer(v_light), pointer(places), side)
-        params = CellParams(*inputs, *addresses(cells, slots, sums))
+    def _add_up(self, lookup: EnvironmentMapLookup, arrays: tuple[Tensor | None, ...], v_maps: Tensor) -> None:
+        """Write v_maps [2,S,S,3] from the arrays of CellParams after `pixels`."""
+        side, sums = v_maps.shape[1], arrays[-1]
+        per_pixel = 1 if lookup.samples is None else lookup.samples.shape[1] ** 2
+        params = CellParams(_sample_count(lookup), side, per_pixel, *addresses(lookup.pixels, *arrays))
         self._launcher.launch(
             "environment_map", "environment_map_cells", -(-2 * side * side * WARP // THREADS), THREADS, params
         )
@@ -90,6 +97,11 @@ class EnvironmentMapKernels:
         )
 
 
-def _count(lookup: EnvironmentMapLookup) -> int:
-    height, width, _ = lookup.normals.shape
-    return height * width if lookup.pixels is None else lookup.pixels.shape[0]
+def _pixel_count(lookup: EnvironmentMapLookup) -> int:
+    """Return the number of pixels to compute."""
+    return lookup.camera.height * lookup.camera.width if lookup.pixels is None else lookup.pixels.shape[0]
+
+
+def _sample_count(lookup: EnvironmentMapLookup) -> int:
+    """Return the number of normals in all pixels to compute."""
+    return _pixel_count(lookup) if lookup.samples is None else lookup.samples.shape[:3].numel()

@@ -1,10 +1,11 @@
 // The environment map on the GPU.
 //
-// environment_map_forward, environment_map_backward: one thread per pixel. Backward writes the gradient of the normal.
-// For each map it also writes the cell of four texels that the pixel reads, and the pixel's place in it. A stable sort
-// in torch then orders the pixels by cell.
-// environment_map_cells: a warp sums the gradients of one cell's corners over its pixels. Each lane takes every 32nd
-// pixel, then the lanes are added in a fixed tree.
+// environment_map_forward: one thread per pixel. A pixel has one sample, or several.
+// environment_map_backward: one thread per sample. It writes the gradient of the normal. For each map it also writes the
+// cell of four texels that the sample reads, and the sample's place in it. A stable sort in torch then orders the
+// samples by cell.
+// environment_map_cells: a warp sums the gradients of one cell's corners over its samples. Each lane takes every 32nd
+// sample, then the lanes are added in a fixed tree.
 // environment_map_texels: a thread sums one channel of a texel over its four cells.
 // There are no atomics, so every run gives the same bytes.
 #include "kernels/common/cuda.h"
@@ -19,23 +20,26 @@ struct EnvironmentMapParams {
   int64_t count;           // number of pixels to process
   const int64_t* pixels;   // [count] row * width + column, each once; or null for all
   int width, side;         // the width of the image; texels along a side of a map
+  int samples;             // rows and columns of samples in a pixel; 0: one at its centre, of weight 1
   const float* maps;       // [2, side, side, 3]: the scene's, the camera's
-  const float* normals;    // [height * width, 3], world
+  const float* normals;    // world; [height * width, 3], or [count, samples, samples, 3] as long as weights
   float cam_from_world[9]; // rotation, row-major
   float fx, fy, cx, cy;
   float* light;            // [height * width, 3]; forward writes the chosen pixels
   const float* v_light;    // [height * width, 3]
-  float* v_normals;        // [height * width, 3]; backward writes the chosen pixels; or null
-  int* cells;              // [2, count] the upper left texel of each pixel's cell, per map; or null
-  float2* places;          // [2, count] the place in the cell, 0..1; null if cells is
+  float* v_normals;        // [height * width, 3]; backward writes the chosen pixels; or null; not of samples
+  int* cells;              // [2, all samples] the upper left texel of each sample's cell, per map; or null
+  float2* places;          // [2, all samples] the place in the cell, 0..1; null if cells is
+  float* weights;          // [all samples]; null if cells is
 };
 
 struct CellParams {
-  int64_t count;          // number of pixels to process
+  int64_t count;          // number of all samples
+  int side, per_pixel;    // texels along a side of a map; number of a pixel's samples
   const int64_t* pixels;  // as in EnvironmentMapParams
   const float* v_light;
+  const float* weights;   // [count]
   const float2* places;
-  int side;
   const int* cells;       // [2 * count] sorted
   const int64_t* slots;   // [2 * count] the index of each before sorting
   float* sums;            // [2, side, side, kCellFields]
@@ -49,10 +53,28 @@ struct TexelParams {
 
 __device__ inline int64_t environment_map_pixel(const int64_t* pixels, int64_t i) { return pixels ? pixels[i] : i; }
 
-__device__ inline EnvironmentMapSight<float> reflect_pixel(const EnvironmentMapParams& p, int64_t pixel) {
-  const float ray[2] = {(float(pixel % p.width) + 0.5f - p.cx) / p.fx, (float(pixel / p.width) + 0.5f - p.cy) / p.fy};
-  return reflect_sight(p.cam_from_world, ray, p.normals + 3 * pixel);
+__device__ inline int64_t samples_of_pixel(const EnvironmentMapParams& p) {
+  return p.samples ? int64_t(p.samples) * p.samples : 1;
 }
+
+// A sample: its pixel, its weight, and the reflected line of sight.
+struct Sample {
+  __device__ Sample(const EnvironmentMapParams& p, int64_t i) {
+    const int64_t at = i / samples_of_pixel(p);
+    const int rows = p.samples ? p.samples : 1, sub = int(i % samples_of_pixel(p));
+    pixel = environment_map_pixel(p.pixels, at);
+    const float* normal = p.normals + 3 * (p.samples ? i : pixel);
+    const float column = float(pixel % p.width) + (float(sub % rows) + 0.5f) / float(rows);
+    const float row = float(pixel / p.width) + (float(sub / rows) + 0.5f) / float(rows);
+    const float ray[2] = {(column - p.cx) / p.fx, (row - p.cy) / p.fy};
+    sight = reflect_sight(p.cam_from_world, ray, normal);
+    weight = p.samples ? sqrtf(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]) : 1.0f;
+  }
+
+  int64_t pixel;
+  float weight;
+  EnvironmentMapSight<float> sight;
+};
 
 // The four texels around a place -1..1 on a map.
 struct Cell {
@@ -101,31 +123,37 @@ MGSR_KERNEL(environment_map_forward, mgsr::EnvironmentMapParams, mgsr::kEnvironm
   using namespace mgsr;
   const int64_t i = int64_t(blockIdx.x) * kEnvironmentMapThreads + threadIdx.x;
   if (i >= p.count) return;
+  const int64_t first = i * samples_of_pixel(p), end = first + samples_of_pixel(p);
+  float light[3] = {};
+  for (int64_t at = first; at < end; ++at) {
+    const Sample sample(p, at);
+    const Cell still(p, 0, sample.sight.still.place), held(p, 1, sample.sight.held.place);
+    for (int channel = 0; channel < 3; ++channel)
+      light[channel] += sample.weight * (bilinear(still.load(p.maps, channel), still.x, still.y) +
+                                         bilinear(held.load(p.maps, channel), held.x, held.y));
+  }
   const int64_t pixel = environment_map_pixel(p.pixels, i);
-  const EnvironmentMapSight<float> sight = reflect_pixel(p, pixel);
-  const Cell still(p, 0, sight.still.place), held(p, 1, sight.held.place);
-  for (int channel = 0; channel < 3; ++channel)
-    p.light[3 * pixel + channel] = bilinear(still.load(p.maps, channel), still.x, still.y) +
-                                   bilinear(held.load(p.maps, channel), held.x, held.y);
+  for (int channel = 0; channel < 3; ++channel) p.light[3 * pixel + channel] = light[channel];
 }
 
 MGSR_KERNEL(environment_map_backward, mgsr::EnvironmentMapParams, mgsr::kEnvironmentMapThreads) {
   using namespace mgsr;
-  const int64_t i = int64_t(blockIdx.x) * kEnvironmentMapThreads + threadIdx.x;
-  if (i >= p.count) return;
-  const int64_t pixel = environment_map_pixel(p.pixels, i);
-  const EnvironmentMapSight<float> sight = reflect_pixel(p, pixel);
-  const Cell still(p, 0, sight.still.place), held(p, 1, sight.held.place);
+  const int64_t i = int64_t(blockIdx.x) * kEnvironmentMapThreads + threadIdx.x, all = p.count * samples_of_pixel(p);
+  if (i >= all) return;
+  const Sample sample(p, i);
+  const Cell still(p, 0, sample.sight.still.place), held(p, 1, sample.sight.held.place);
   if (p.cells) {
     p.cells[i] = still.index, p.places[i] = make_float2(still.x, still.y);
-    p.cells[p.count + i] = held.index, p.places[p.count + i] = make_float2(held.x, held.y);
+    p.cells[all + i] = held.index, p.places[all + i] = make_float2(held.x, held.y);
+    p.weights[i] = sample.weight;
   }
   if (!p.v_normals) return;
+  const float* v_light = p.v_light + 3 * sample.pixel;
   float v_still[2], v_held[2], v_normal[3];
-  place_gradient(p, still, p.v_light + 3 * pixel, v_still);
-  place_gradient(p, held, p.v_light + 3 * pixel, v_held);
-  reflect_sight_vjp(p.cam_from_world, sight, v_still, v_held, v_normal);
-  for (int k = 0; k < 3; ++k) p.v_normals[3 * pixel + k] = v_normal[k];
+  place_gradient(p, still, v_light, v_still);
+  place_gradient(p, held, v_light, v_held);
+  reflect_sight_vjp(p.cam_from_world, sample.sight, v_still, v_held, v_normal);
+  for (int k = 0; k < 3; ++k) p.v_normals[3 * sample.pixel + k] = v_normal[k];
 }
 
 MGSR_KERNEL(environment_map_cells, mgsr::CellParams, mgsr::kEnvironmentMapThreads) {
@@ -135,10 +163,12 @@ MGSR_KERNEL(environment_map_cells, mgsr::CellParams, mgsr::kEnvironmentMapThread
   const int64_t begin = lower_bound(p.cells, 2 * p.count, cell), end = lower_bound(p.cells, 2 * p.count, cell + 1);
   float sums[kCellFields] = {};
   for (int64_t i = begin + lane; i < end; i += kWarp) {
-    const int64_t slot = p.slots[i], pixel = environment_map_pixel(p.pixels, slot < p.count ? slot : slot - p.count);
+    const int64_t slot = p.slots[i], sample = slot < p.count ? slot : slot - p.count;
+    const int64_t pixel = environment_map_pixel(p.pixels, sample / p.per_pixel);
     const float2 place = p.places[slot];
     for (int channel = 0; channel < 3; ++channel) {
-      const Corners<float> v = bilinear_vjp(p.v_light[3 * pixel + channel], place.x, place.y);
+      const float v_sample = p.weights[sample] * p.v_light[3 * pixel + channel];
+      const Corners<float> v = bilinear_vjp(v_sample, place.x, place.y);
       sums[channel] += v.upper_left, sums[3 + channel] += v.upper_right;
       sums[6 + channel] += v.lower_left, sums[9 + channel] += v.lower_right;
     }

@@ -1,6 +1,7 @@
-// The environment map on the CPU. Pixels are processed in blocks. To reflect the line of sight, each lane takes a
-// pixel. To read the maps, a vector takes the three channels of a texel. Backward cuts the pixels into parts, whose
-// number never depends on the threads. Each part adds to a map of its own, and these maps are added in order.
+// The environment map on the CPU. Samples, one or several in a pixel, are processed in blocks. To reflect the line of
+// sight, each lane takes a sample. To read the maps, a vector takes the three channels of a texel. Backward cuts the
+// samples into parts, whose number never depends on the threads. Each part adds to a map of its own, and these maps are
+// added in order.
 #include "kernels/environment_map/environment_map.h"
 
 #include <algorithm>
@@ -15,9 +16,9 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-constexpr int kBlock = 64;                   // pixels
+constexpr int kBlock = 64;                   // samples
 constexpr int64_t kChunk = 16 * kBlock;      // pixels, in forward
-constexpr int64_t kLeastPart = 32 * kBlock;  // pixels, in backward; parts are larger if there would be over kMostParts
+constexpr int64_t kLeastPart = 32 * kBlock;  // samples, in backward; parts are larger if there would be over kMostParts
 constexpr int64_t kMostParts = 16;
 
 // The three channels of a texel, and a zero.
@@ -68,34 +69,58 @@ const float* pad(const EnvironmentMapParams& p, const PaddedMaps& layout) {
   return padded.data();
 }
 
-// The intermediate values of a block of pixels. Coordinates are in texels: [map][x, y].
+// The intermediate values of a block of samples. Coordinates are in texels: [map][x, y].
 struct Block {
   int count;
   int64_t pixel[kBlock];
-  float ray[2][kBlock], normal[3][kBlock];
+  bool first[kBlock];  // whether it is its pixel's first sample
+  float ray[2][kBlock], normal[3][kBlock], weight[kBlock];
   EnvironmentMapSight<Floats> sight[kBlock / kWidth];
   float texel[2][2][kBlock], v_texel[2][2][kBlock];
 };
 
-// Converts pixel numbers to rays, with a division only at the beginning of a row.
-class Rays {
+// Goes through consecutive samples, with divisions only at the beginning of a pixel and of an image row.
+class Samples {
  public:
-  explicit Rays(const EnvironmentMapParams& p)
-      : width_(p.width), per_x_(1 / p.fx), per_y_(1 / p.fy), left_((0.5f - p.cx) / p.fx), top_((0.5f - p.cy) / p.fy) {}
+  Samples(const EnvironmentMapParams& p, int64_t first)
+      : p_(p), rows_(std::max(1, p.samples)), at_(first / (rows_ * rows_)), row_(int(first % (rows_ * rows_)) / rows_),
+        column_(int(first % rows_)), per_x_(1 / p.fx), per_y_(1 / p.fy), left_(-p.cx / p.fx), top_(-p.cy / p.fy),
+        step_(1 / float(rows_)) {
+    find_pixel();
+  }
 
-  void of(int64_t pixel, float& x, float& y) {
-    if (pixel < begin_ || pixel >= begin_ + width_) {
-      const int64_t row = pixel / width_;
-      begin_ = row * width_, y_ = float(row) * per_y_ + top_;
-    }
-    x = float(pixel - begin_) * per_x_ + left_, y = y_;
+  // Writes the sample to the block's lane i and goes on to the next one.
+  void write(Block& b, int i) {
+    b.pixel[i] = pixel_, b.first[i] = row_ == 0 && column_ == 0;
+    b.ray[0][i] = x_ + (float(column_) + 0.5f) * step_ * per_x_;
+    b.ray[1][i] = y_ + (float(row_) + 0.5f) * step_ * per_y_;
+    const int64_t normal = p_.samples ? (at_ * rows_ + row_) * rows_ + column_ : pixel_;
+    for (int c = 0; c < 3; ++c) b.normal[c][i] = p_.normals[3 * normal + c];
+    if (++column_ < rows_) return;
+    column_ = 0;
+    if (++row_ < rows_) return;
+    row_ = 0;
+    if (++at_ < p_.count) find_pixel();
   }
 
  private:
-  int width_;
-  float per_x_, per_y_, left_, top_;
-  int64_t begin_ = 0;
-  float y_ = top_;
+  // Computes the ray through the upper left corner of the pixel.
+  void find_pixel() {
+    pixel_ = p_.pixels ? p_.pixels[at_] : at_;
+    if (pixel_ < begin_ || pixel_ >= begin_ + p_.width) {
+      const int64_t row = pixel_ / p_.width;
+      begin_ = row * p_.width, y_ = float(row) * per_y_ + top_;
+    }
+    x_ = float(pixel_ - begin_) * per_x_ + left_;
+  }
+
+  const EnvironmentMapParams& p_;
+  int rows_;
+  int64_t at_;
+  int row_, column_;
+  float per_x_, per_y_, left_, top_, step_;
+  int64_t pixel_ = 0, begin_ = 0;
+  float x_ = 0, y_ = top_;
 };
 
 Floats load_lanes(const float* p) { return Floats(load(p)); }
@@ -107,15 +132,14 @@ struct Rotation {
   Floats R[9];
 };
 
-// Computes the places on the maps for the block of pixels from `first` on. Lanes past the end repeat the last pixel.
-void reflect_block(const EnvironmentMapParams& p, const Rotation& rotation, Rays& rays, int64_t first, int64_t end, Block& b) {
-  b.count = int(std::min<int64_t>(end - first, kBlock));
-  const int groups = (b.count + kWidth - 1) / kWidth;
-  for (int i = 0; i < groups * kWidth; ++i) {
-    const int64_t at = first + std::min(i, b.count - 1), pixel = p.pixels ? p.pixels[at] : at;
-    b.pixel[i] = pixel;
-    rays.of(pixel, b.ray[0][i], b.ray[1][i]);
-    for (int c = 0; c < 3; ++c) b.normal[c][i] = p.normals[3 * pixel + c];
+// Computes the places on the maps for the next `count` samples, at most kBlock. Lanes past the end repeat the last one.
+void reflect_block(const EnvironmentMapParams& p, const Rotation& rotation, Samples& samples, int count, Block& b) {
+  b.count = count;
+  const int groups = (count + kWidth - 1) / kWidth;
+  for (int i = 0; i < count; ++i) samples.write(b, i);
+  for (int i = count; i < groups * kWidth; ++i) {
+    for (int k = 0; k < 2; ++k) b.ray[k][i] = b.ray[k][count - 1];
+    for (int c = 0; c < 3; ++c) b.normal[c][i] = b.normal[c][count - 1];
   }
   const Floats side(float(p.side));
   for (int g = 0; g < groups; ++g) {
@@ -128,10 +152,14 @@ void reflect_block(const EnvironmentMapParams& p, const Rotation& rotation, Rays
       store(b.texel[1][k] + i, texel_of(sight.held.place[k], side).v);
     }
     b.sight[g] = sight;
+    const Floats square = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2];
+    store(b.weight + i, p.samples ? sqrt(square).v : Floats(1.0f).v);
   }
 }
 
-// The four texels around a pixel's place on a map.
+int64_t samples_of(const EnvironmentMapParams& p) { return p.samples ? int64_t(p.samples) * p.samples : 1; }
+
+// The four texels around a sample's place on a map.
 struct Cell {
   Cell(const PaddedMaps& layout, const Block& b, int which, int i) {
     const float across = b.texel[which][0][i], along = b.texel[which][1][i];
@@ -156,25 +184,29 @@ void forward(const EnvironmentMapParams& p) {
   const float* maps = pad(p, layout);
   const Rotation rotation(p);
   parallel_chunks(p.count, kChunk, [&](int64_t begin, int64_t end) {
-    Rays rays(p);
+    const int64_t all = (end - begin) * samples_of(p);
+    Samples samples(p, begin * samples_of(p));
     Block b;
-    for (int64_t first = begin; first < end; first += kBlock) {
-      reflect_block(p, rotation, rays, first, end, b);
+    for (int64_t done = 0; done < all; done += kBlock) {
+      reflect_block(p, rotation, samples, int(std::min<int64_t>(all - done, kBlock)), b);
       for (int i = 0; i < b.count; ++i) {
         const Cell still(layout, b, 0, i), held(layout, b, 1, i);
-        const vtexel light = bilinear(still.load(maps), still.x, still.y) + bilinear(held.load(maps), held.x, held.y);
-        std::memcpy(p.light + 3 * b.pixel[i], &light, 3 * sizeof(float));
+        float* to = p.light + 3 * b.pixel[i];
+        vtexel light = bilinear(still.load(maps), still.x, still.y) + bilinear(held.load(maps), held.x, held.y);
+        light *= b.weight[i];
+        if (!b.first[i]) light += load_channels(to);
+        std::memcpy(to, &light, 3 * sizeof(float));
       }
     }
   });
 }
 
-// Computes the gradients of the pixels' places on the maps, in texels, if the normals' gradient is requested. Adds the
+// Computes the gradients of the samples' places on the maps, in texels, if the normals' gradient is requested. Adds the
 // gradients of the maps to v_maps, if those are requested.
 void look_back(const EnvironmentMapParams& p, const PaddedMaps& layout, const float* maps, Block& b, float* v_maps) {
   const bool to_normals = p.v_normals != nullptr, to_maps = p.v_maps != nullptr;
   for (int i = 0; i < b.count; ++i) {
-    const vtexel v = load_channels(p.v_light + 3 * b.pixel[i]);
+    const vtexel v = load_channels(p.v_light + 3 * b.pixel[i]) * b.weight[i];
     vtexel by[2][2] = {};
     for (int which = 0; which < 2; ++which) {
       const Cell cell(layout, b, which, i);
@@ -223,17 +255,19 @@ void backward(const EnvironmentMapParams& p) {
   const PaddedMaps layout(p.side);
   const float* maps = pad(p, layout);
   const Rotation rotation(p);
-  const int64_t parts = std::clamp<int64_t>(p.count / kLeastPart, 1, kMostParts), size = (p.count + parts - 1) / parts;
+  const int64_t all = p.count * samples_of(p);
+  const int64_t parts = std::clamp<int64_t>(all / kLeastPart, 1, kMostParts), size = (all + parts - 1) / parts;
   if (p.v_maps) of_parts.resize(size_t(parts) * layout.floats());
   float* v_maps = of_parts.data();
   ThreadPool::instance().run(int(parts), [&](int part) {
     float* own = v_maps + size_t(part) * layout.floats();
     if (p.v_maps) std::fill_n(own, layout.floats(), 0.0f);
-    const int64_t end = std::min<int64_t>(p.count, (part + 1) * size);
-    Rays rays(p);
+    const int64_t begin = part * size, end = std::min<int64_t>(all, begin + size);
+    if (begin >= end) return;
+    Samples samples(p, begin);
     Block b;
-    for (int64_t first = part * size; first < end; first += kBlock) {
-      reflect_block(p, rotation, rays, first, end, b);
+    for (int64_t at = begin; at < end; at += kBlock) {
+      reflect_block(p, rotation, samples, int(std::min<int64_t>(end - at, kBlock)), b);
       look_back(p, layout, maps, b, own);
       if (p.v_normals) normal_gradients(p, rotation, b);
     }

@@ -17,7 +17,7 @@ import torch
 from scipy.ndimage import binary_dilation, distance_transform_edt
 from torch import Tensor
 
-from mgsr.data.camera import Camera
+from mgsr.data.camera import Camera, pixel_size
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import PixelHits
 from mgsr.geometry.triangles import reflect, unit_vectors
@@ -26,9 +26,9 @@ from mgsr.parallel import map_ahead
 KEPT = 256 * 2**20  # size of the cache of camera views, bytes
 GAP = 0.005  # of the mesh's longest side, at most
 BESIDE = 4.0  # pixels; splats reach so far beyond the mesh, or less
-# An image has at least FINE samples along its longer side, but at most MOST_ROWS x MOST_ROWS in a pixel. Larger images
-# have one sample in each pixel.
-FINE = 768
+# There are at least FINE samples along the mesh's longest side, but at most MOST_ROWS x MOST_ROWS in a pixel. Where the
+# mesh is larger in an image, each pixel has one sample.
+FINE = 512
 MOST_ROWS = 4
 
 
@@ -61,9 +61,11 @@ class Reflector:
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
+        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        self._middle, self._longest = (low + high) / 2, float((high - low).max())
         # Offset of reflected rays from the surface: between their corners, facets deviate from the interpolated
         # normals.
-        self._gap = min(mesh.edge_length, GAP * float(np.ptp(mesh.vertices, axis=0).max()))
+        self._gap = min(mesh.edge_length, GAP * self._longest)
         self._kept: dict[tuple[Hashable, ...], ReflectorView] = {}
         self._size = 0
 
@@ -93,7 +95,7 @@ class Reflector:
 
     def _trace(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the arrays of `ReflectorView`."""
-        rows = min(MOST_ROWS, -(-FINE // max(camera.width, camera.height)))
+        rows = self._rows(camera)
         pixels = self._covered(camera, rows)
         hits = self.mesh.caster.cast_pixels(camera, _sample_places(pixels, camera.width, rows))
         met = hits.mask.any(axis=(1, 2))
@@ -103,6 +105,11 @@ class Reflector:
         twice = again.any(axis=(1, 2))
         once, more = np.where(again[..., None], 0, normals), np.where(again[twice][..., None], normals[twice], 0)
         return found, once.astype(np.float16), found[twice], more.astype(np.float16)
+
+    def _rows(self, camera: Camera) -> int:
+        """Return the number of rows of samples in a pixel."""
+        wanted = FINE * pixel_size([camera], self._middle) / self._longest
+        return int(np.clip(np.ceil(wanted), 1, MOST_ROWS))
 
     def _covered(self, camera: Camera, rows: int) -> np.ndarray:
         """Return the flat indices [P] of the pixels that may show the surface in any of rows x rows samples."""

@@ -47,7 +47,7 @@ def look_up_samples(maps: torch.Tensor, samples: torch.Tensor, camera: Camera, p
 
     The light of a pixel is the sum of what its samples reflect, each times its weight.
 
-    maps: as for `look_up_environment_map`; gradients flow.
+    maps: [2, S, S, 3], as for `look_up_environment_map`; gradients flow.
     samples: [P, N, N, 3], normals in the world frame, each as long as its weight. Those of a pixel lie in the middles
     of N x N equal parts, row by row.
     pixels: [P] int64, unique flat indices (row x W + column) of the pixels; the light of others is 0.

@@ -64,9 +64,11 @@ def image_of(pixels: torch.Tensor, samples: torch.Tensor, camera: Camera) -> np.
     return image.reshape(camera.height * rows, camera.width * rows, 3)
 
 
-def test_the_number_of_samples_follows_the_images_size() -> None:
-    for longer, rows in ((32, 4), (200, 4), (256, 3), (400, 2), (767, 2), (768, 1), (1600, 1)):
-        camera = camera_at([1.0, 0.5, 2.0], [0.0, 0.0, 0.0]).resized(longer, longer // 2)
+def test_the_number_of_samples_follows_the_objects_size_in_the_image() -> None:
+    middle = camera_at([0.0, 0.0, 2.0], [0.0, 0.0, 0.0], focal=1.0)
+    for across, rows in ((20, 4), (128, 4), (140, 4), (180, 3), (300, 2), (510, 2), (520, 1), (2000, 1)):
+        K = np.array([[2.0 * across, 0, 16], [0, 2.0 * across, 12], [0, 0, 1]])  # the ball is 1 wide and 2 away
+        camera = Camera(K, middle.cam_from_world, 32, 24)
         assert Reflector(ball()).seen_by(camera, CPU).samples.shape[1:] == (rows, rows, 3)
 
 

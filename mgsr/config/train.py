@@ -196,6 +196,7 @@ class EnvironmentMapConfig:
     # Iterations of the 3D branch and the maps after mesh extraction. The mesh then reflects in place of the 2D branch.
     # They need masks. 0: none.
     iterations: int = 300
+    finish_rates: float = 2.0  # The learning rates in those iterations, times those of the middle of training.
     weight_prior: float = 5e-7  # The weight that pulls each reflection weight to its initial value.
 
 

@@ -71,6 +71,8 @@ class Plan:
             return False
         reflector.prepare((view.camera for view in finish.views), light.device)
         light.model.reflector = reflector
+        for part in finish.trainables:
+            part.rate_scale = light.settings.finish_rates
         finish.iterations = light.settings.iterations
         return True
 
@@ -291,7 +293,8 @@ def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list
 def _finish(train_state: TrainState, views: list[TrainingView], config: Config) -> Stage:
     """Build the stage that trains the rendering branch alone, at the final learning rates; it may end at any iteration.
 
-    If a mesh reflects the environment map, the stage begins at the learning rates of the middle of training.
+    If a mesh reflects the environment map, the stage begins at the learning rates of the middle of training, times a
+    factor (`Plan.set_reflector`).
     """
     cycle = ViewCycle(len(views), seeded(config, 6))
     if train_state.gaussians is None:

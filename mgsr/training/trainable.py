@@ -19,12 +19,16 @@ Kind = Literal["values", "grad"]  # a parameter's numbers, or its gradient's
 
 
 class Trainable(ABC, Generic[Model]):
-    """A model and its optimiser, which owns the model's tensors. `name` is unique in a run."""
+    """A model and its optimiser, which owns the model's tensors.
+
+    `name` is unique in a run. All learning rates are multiplied by `rate_scale`.
+    """
 
     def __init__(self, name: str, model: Model) -> None:
         self.name = name
         self.model: Model = model
         self.steps = 0
+        self.rate_scale = 1.0
         self.optimizer = self.make_optimizer(model.parameters())
         self.adopt()
 
@@ -105,7 +109,7 @@ def step_trainables(progress: Mapping[Trainable[Any], float], bad: Tensor | None
     gradients as zero.
     """
     for part, share in progress.items():
-        part.optimizer.set_lrs(part.rates(share))
+        part.optimizer.set_lrs({name: part.rate_scale * rate for name, rate in part.rates(share).items()})
     step_together([part.optimizer for part in progress], bad)
     for part in progress:
         part.skip_step()

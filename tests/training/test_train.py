@@ -13,11 +13,15 @@ import trimesh
 from mgsr.config import Reflection, make_config
 from mgsr.data.camera import Camera
 from mgsr.errors import Cancelled, CheckpointError, TrainingError
+from mgsr.gaussians.reflector import Reflector
 from mgsr.geometry.mesh import Mesh
 from mgsr.renderers.surfels import render_surfels
 from mgsr.training.control import TrainingControl
+from mgsr.training.plan import make_plan
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import Training
+from mgsr.training.trainable import step_trainables
+from mgsr.training.views import CPU
 from tests.optional import present
 from tests.training.ball import RADIUS, ball_points, ball_scene
 from tests.training.short_training import assert_same, short, tensors
@@ -233,6 +237,20 @@ def test_the_finished_mesh_mirrors_the_light_in_the_end() -> None:
     assert present(after.curve[-1].psnr_gaussians) > present(before.curve[-1].psnr_gaussians) + 0.3
     assert after.model.surfels is not None and before.model.surfels is not None
     assert torch.equal(after.model.surfels.means, before.model.surfels.means)
+
+
+def test_the_mesh_raises_the_learning_rates_of_its_stage() -> None:
+    plan = make_plan(ball_scene(32), ball_points(), short("mgsr", "reflection=shared", "finish_rates=3"), CPU)
+    sphere = trimesh.creation.icosphere(subdivisions=2, radius=RADIUS)
+    assert plan.set_reflector(Reflector(Mesh(np.asarray(sphere.vertices), np.asarray(sphere.faces))))
+    finish, light = plan.stages[-1], present(plan.train_state.environment_map)
+    middle = light.rates(finish.progress(light, 0))["logits"]
+    loss = present(light.model.logits).sigmoid().sum()
+    loss.backward()
+    before = light.model.logits.detach().clone()
+    step_trainables({light: finish.progress(light, 0)})
+    moved = (light.model.logits.detach() - before).abs()
+    assert torch.allclose(moved, torch.full_like(moved, 3 * middle), rtol=1e-3)  # Adam's first step is the rate
 
 
 @pytest.mark.parametrize("setting", ["reflection=off", "environment_map.iterations=0"])

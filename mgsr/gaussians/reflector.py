@@ -78,7 +78,7 @@ class Reflector:
         return self._keep(camera, device, self._trace(camera)) if seen is None else seen
 
     def prepare(self, cameras: Iterable[Camera], device: torch.device) -> None:
-        """Trace what cameras see on all cores, for `seen_by`, until the cache is full."""
+        """Fill the cache of `seen_by` with what cameras see, on all cores, until it is full."""
         cameras = list(cameras)
         for camera, arrays in zip(cameras, map_ahead(self._trace, cameras, None), strict=True):
             self._keep(camera, device, arrays)
@@ -86,7 +86,7 @@ class Reflector:
                 break
 
     def _keep(self, camera: Camera, device: torch.device, arrays: tuple[np.ndarray, ...]) -> ReflectorView:
-        """Return the view of a camera's traced arrays on a device, and cache it if there is room."""
+        """Build a camera's view of its traced arrays on a device, and cache it if there is room."""
         seen = ReflectorView(*(torch.from_numpy(array).to(device) for array in arrays))
         if self._size + seen.size <= KEPT:
             self._kept[_key(camera, device)] = seen
@@ -112,7 +112,11 @@ class Reflector:
         return int(np.clip(np.ceil(wanted), 1, MOST_ROWS))
 
     def _covered(self, camera: Camera, rows: int) -> np.ndarray:
-        """Return the flat indices [P] of the pixels that may show the surface in any of rows x rows samples."""
+        """Return the flat indices [P] of the pixels to trace with rows x rows samples.
+
+        These are all pixels for one sample, or else the pixels whose centre or whose neighbour's centre shows the
+        surface.
+        """
         if rows == 1:
             return np.arange(camera.width * camera.height)
         shown = self.mesh.caster.cast(camera).mask

@@ -85,7 +85,10 @@ class _EnvironmentMapLookup(torch.autograd.Function):
         camera: Camera,
         pixels: torch.Tensor | None,
     ) -> torch.Tensor:
-        """Return the light [H,W,3] that maps [2,S,S,3] send to normals [H,W,3] or samples [P,N,N,3], at pixels [P]."""
+        """Return the light [H,W,3] that maps [2,S,S,3] send to normals [H,W,3] or samples [P,N,N,3].
+
+        It is computed at pixels [P]; None for all.
+        """
         maps = plain(maps)
         normals, samples, pixels = (None if each is None else plain(each) for each in (normals, samples, pixels))
         launcher = launcher_for(maps)

@@ -55,46 +55,38 @@ class EnvironmentMapKernels:
         self, lookup: EnvironmentMapLookup, v_light: Tensor, v_maps: Tensor | None, v_normals: Tensor | None
     ) -> None:
         """Write v_maps [2,S,S,3] and v_normals [H,W,3] at the pixels, given v_light [H,W,3]; None if not needed."""
-        count, maps = _sample_count(lookup), lookup.maps
-        cells = places = weights = None
-        if v_maps is not None:
-            cells, places = maps.new_empty(2 * count, dtype=torch.int32), maps.new_empty(2 * count, 2)
-            weights = maps.new_empty(count)
-        self._launch_lookup(
-            "environment_map_backward", lookup, count, (None, v_light, v_normals, cells, places, weights)
+        kernel, count = "environment_map_backward", _sample_count(lookup)
+        if v_maps is None:
+            self._launch_lookup(kernel, lookup, count, (None, v_light, v_normals, None, None, None))
+            return
+        side = v_maps.shape[1]
+        cells, places = v_maps.new_empty(2 * count, dtype=torch.int32), v_maps.new_empty(2 * count, 2)
+        weights, sums = v_maps.new_empty(count), v_maps.new_empty(2, side, side, CELL_FIELDS)
+        self._launch_lookup(kernel, lookup, count, (None, v_light, v_normals, cells, places, weights))
+        cells, slots = torch.sort(cells, stable=True)
+        per_pixel = 1 if lookup.samples is None else lookup.samples.shape[1] ** 2
+        arrays = addresses(lookup.pixels, v_light, weights, places, cells, slots, sums)
+        self._launcher.launch(
+            "environment_map",
+            "environment_map_cells",
+            -(-2 * side * side * WARP // THREADS),
+            THREADS,
+            CellParams(count, side, per_pixel, *arrays),
         )
-        if v_maps is not None and cells is not None:
-            cells, slots = torch.sort(cells, stable=True)
-            sums = maps.new_empty(2, *maps.shape[1:3], CELL_FIELDS)
-            self._add_up(lookup, (v_light, weights, places, cells, slots, sums), v_maps)
+        texels = TexelParams(side, *addresses(sums, v_maps))
+        self._launcher.launch(
+            "environment_map", "environment_map_texels", -(-v_maps.numel() // THREADS), THREADS, texels
+        )
 
     def _launch_lookup(
         self, kernel: str, lookup: EnvironmentMapLookup, threads: int, arrays: tuple[Tensor | None, ...]
     ) -> None:
         maps, normals, samples, pixels, camera = lookup
-        sizes = (camera.width, maps.shape[1], 0 if samples is None else samples.shape[1])
-        inputs = (
-            _pixel_count(lookup),
-            pointer(pixels),
-            *sizes,
-            *addresses(maps, normals if samples is None else samples),
-        )
+        seen, rows = (normals, 0) if samples is None else (samples, samples.shape[1])
+        inputs = (_pixel_count(lookup), pointer(pixels), camera.width, maps.shape[1], rows, *addresses(maps, seen))
         lens = ((Float * 9)(*camera.cam_from_world[:3, :3].ravel().tolist()), *intrinsics(camera))
         params = EnvironmentMapParams(*inputs, *lens, *addresses(*arrays))
         self._launcher.launch("environment_map", kernel, -(-threads // THREADS), THREADS, params)
-
-    def _add_up(self, lookup: EnvironmentMapLookup, arrays: tuple[Tensor | None, ...], v_maps: Tensor) -> None:
-        """Write v_maps [2,S,S,3] from the arrays of CellParams after `pixels`."""
-        side, sums = v_maps.shape[1], arrays[-1]
-        per_pixel = 1 if lookup.samples is None else lookup.samples.shape[1] ** 2
-        params = CellParams(_sample_count(lookup), side, per_pixel, *addresses(lookup.pixels, *arrays))
-        self._launcher.launch(
-            "environment_map", "environment_map_cells", -(-2 * side * side * WARP // THREADS), THREADS, params
-        )
-        texels = TexelParams(side, pointer(sums), pointer(v_maps))
-        self._launcher.launch(
-            "environment_map", "environment_map_texels", -(-v_maps.numel() // THREADS), THREADS, texels
-        )
 
 
 def _pixel_count(lookup: EnvironmentMapLookup) -> int:

@@ -73,38 +73,46 @@ const float* pad(const EnvironmentMapParams& p, const PaddedMaps& layout) {
 struct Block {
   int count;
   int64_t pixel[kBlock];
-  bool first[kBlock];  // whether it is its pixel's first sample
-  float ray[2][kBlock], normal[3][kBlock], weight[kBlock];
+  float ray[2][kBlock], normal[3][kBlock];
+  bool first[kBlock];    // whether it is its pixel's first sample; set only for samples with weights
+  float weight[kBlock];  // likewise
   EnvironmentMapSight<Floats> sight[kBlock / kWidth];
   float texel[2][2][kBlock], v_texel[2][2][kBlock];
 };
 
-// Goes through consecutive samples, with divisions only at the beginning of a pixel and of an image row.
+// Goes through consecutive samples, with divisions only at the beginning and at that of an image row.
+// kWeighted: whether the normals are samples with weights, not one in each pixel.
+template <bool kWeighted>
 class Samples {
  public:
   Samples(const EnvironmentMapParams& p, int64_t first)
-      : p_(p), rows_(std::max(1, p.samples)), at_(first / (rows_ * rows_)), row_(int(first % (rows_ * rows_)) / rows_),
-        column_(int(first % rows_)), per_x_(1 / p.fx), per_y_(1 / p.fy), left_(-p.cx / p.fx), top_(-p.cy / p.fy),
-        step_(1 / float(rows_)) {
+      : p_(p), rows_(kWeighted ? p.samples : 1), at_(first / (rows_ * rows_)),
+        row_(int(first % (rows_ * rows_)) / rows_), column_(int(first % rows_)), per_x_(1 / p.fx), per_y_(1 / p.fy),
+        left_((0.5f / float(rows_) - p.cx) / p.fx), top_((0.5f / float(rows_) - p.cy) / p.fy),
+        step_x_(per_x_ / float(rows_)), step_y_(per_y_ / float(rows_)) {
     find_pixel();
   }
 
   // Writes the sample to the block's lane i and goes on to the next one.
   void write(Block& b, int i) {
-    b.pixel[i] = pixel_, b.first[i] = row_ == 0 && column_ == 0;
-    b.ray[0][i] = x_ + (float(column_) + 0.5f) * step_ * per_x_;
-    b.ray[1][i] = y_ + (float(row_) + 0.5f) * step_ * per_y_;
-    const int64_t normal = p_.samples ? (at_ * rows_ + row_) * rows_ + column_ : pixel_;
+    b.pixel[i] = pixel_, b.ray[0][i] = x_, b.ray[1][i] = y_;
+    if constexpr (kWeighted) {
+      b.first[i] = row_ == 0 && column_ == 0;
+      b.ray[0][i] += float(column_) * step_x_, b.ray[1][i] += float(row_) * step_y_;
+    }
+    const int64_t normal = kWeighted ? (at_ * rows_ + row_) * rows_ + column_ : pixel_;
     for (int c = 0; c < 3; ++c) b.normal[c][i] = p_.normals[3 * normal + c];
-    if (++column_ < rows_) return;
-    column_ = 0;
-    if (++row_ < rows_) return;
-    row_ = 0;
+    if constexpr (kWeighted) {
+      if (++column_ < rows_) return;
+      column_ = 0;
+      if (++row_ < rows_) return;
+      row_ = 0;
+    }
     if (++at_ < p_.count) find_pixel();
   }
 
  private:
-  // Computes the ray through the upper left corner of the pixel.
+  // Computes the ray through the pixel's first sample.
   void find_pixel() {
     pixel_ = p_.pixels ? p_.pixels[at_] : at_;
     if (pixel_ < begin_ || pixel_ >= begin_ + p_.width) {
@@ -118,7 +126,7 @@ class Samples {
   int rows_;
   int64_t at_;
   int row_, column_;
-  float per_x_, per_y_, left_, top_, step_;
+  float per_x_, per_y_, left_, top_, step_x_, step_y_;
   int64_t pixel_ = 0, begin_ = 0;
   float x_ = 0, y_ = top_;
 };
@@ -132,8 +140,11 @@ struct Rotation {
   Floats R[9];
 };
 
-// Computes the places on the maps for the next `count` samples, at most kBlock. Lanes past the end repeat the last one.
-void reflect_block(const EnvironmentMapParams& p, const Rotation& rotation, Samples& samples, int count, Block& b) {
+// Computes the places on the maps, and the weights, of the next `count` samples, at most kBlock. Lanes past the end
+// repeat the last one.
+template <bool kWeighted>
+void reflect_block(const EnvironmentMapParams& p, const Rotation& rotation, Samples<kWeighted>& samples, int count,
+                   Block& b) {
   b.count = count;
   const int groups = (count + kWidth - 1) / kWidth;
   for (int i = 0; i < count; ++i) samples.write(b, i);
@@ -152,8 +163,10 @@ void reflect_block(const EnvironmentMapParams& p, const Rotation& rotation, Samp
       store(b.texel[1][k] + i, texel_of(sight.held.place[k], side).v);
     }
     b.sight[g] = sight;
-    const Floats square = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2];
-    store(b.weight + i, p.samples ? sqrt(square).v : Floats(1.0f).v);
+    if constexpr (kWeighted) {
+      const Floats square = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2];
+      store(b.weight + i, sqrt(square).v);
+    }
   }
 }
 
@@ -179,13 +192,14 @@ struct Cell {
   float x, y;
 };
 
-void forward(const EnvironmentMapParams& p) {
+template <bool kWeighted>
+void forward_samples(const EnvironmentMapParams& p) {
   const PaddedMaps layout(p.side);
   const float* maps = pad(p, layout);
   const Rotation rotation(p);
   parallel_chunks(p.count, kChunk, [&](int64_t begin, int64_t end) {
     const int64_t all = (end - begin) * samples_of(p);
-    Samples samples(p, begin * samples_of(p));
+    Samples<kWeighted> samples(p, begin * samples_of(p));
     Block b;
     for (int64_t done = 0; done < all; done += kBlock) {
       reflect_block(p, rotation, samples, int(std::min<int64_t>(all - done, kBlock)), b);
@@ -193,20 +207,26 @@ void forward(const EnvironmentMapParams& p) {
         const Cell still(layout, b, 0, i), held(layout, b, 1, i);
         float* to = p.light + 3 * b.pixel[i];
         vtexel light = bilinear(still.load(maps), still.x, still.y) + bilinear(held.load(maps), held.x, held.y);
-        light *= b.weight[i];
-        if (!b.first[i]) light += load_channels(to);
+        if constexpr (kWeighted) {
+          light *= b.weight[i];
+          if (!b.first[i]) light += load_channels(to);
+        }
         std::memcpy(to, &light, 3 * sizeof(float));
       }
     }
   });
 }
 
+void forward(const EnvironmentMapParams& p) { p.samples ? forward_samples<true>(p) : forward_samples<false>(p); }
+
 // Computes the gradients of the samples' places on the maps, in texels, if the normals' gradient is requested. Adds the
 // gradients of the maps to v_maps, if those are requested.
+template <bool kWeighted>
 void look_back(const EnvironmentMapParams& p, const PaddedMaps& layout, const float* maps, Block& b, float* v_maps) {
   const bool to_normals = p.v_normals != nullptr, to_maps = p.v_maps != nullptr;
   for (int i = 0; i < b.count; ++i) {
-    const vtexel v = load_channels(p.v_light + 3 * b.pixel[i]) * b.weight[i];
+    vtexel v = load_channels(p.v_light + 3 * b.pixel[i]);
+    if constexpr (kWeighted) v *= b.weight[i];
     vtexel by[2][2] = {};
     for (int which = 0; which < 2; ++which) {
       const Cell cell(layout, b, which, i);
@@ -250,7 +270,8 @@ void add_parts(const EnvironmentMapParams& p, const PaddedMaps& layout, const fl
   });
 }
 
-void backward(const EnvironmentMapParams& p) {
+template <bool kWeighted>
+void backward_samples(const EnvironmentMapParams& p) {
   static thread_local std::vector<float> of_parts;
   const PaddedMaps layout(p.side);
   const float* maps = pad(p, layout);
@@ -264,16 +285,18 @@ void backward(const EnvironmentMapParams& p) {
     if (p.v_maps) std::fill_n(own, layout.floats(), 0.0f);
     const int64_t begin = part * size, end = std::min<int64_t>(all, begin + size);
     if (begin >= end) return;
-    Samples samples(p, begin);
+    Samples<kWeighted> samples(p, begin);
     Block b;
     for (int64_t at = begin; at < end; at += kBlock) {
       reflect_block(p, rotation, samples, int(std::min<int64_t>(end - at, kBlock)), b);
-      look_back(p, layout, maps, b, own);
+      look_back<kWeighted>(p, layout, maps, b, own);
       if (p.v_normals) normal_gradients(p, rotation, b);
     }
   });
   if (p.v_maps) add_parts(p, layout, v_maps, parts);
 }
+
+void backward(const EnvironmentMapParams& p) { p.samples ? backward_samples<true>(p) : backward_samples<false>(p); }
 
 }  // namespace
 

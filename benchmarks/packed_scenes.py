@@ -21,6 +21,7 @@ from PIL import Image
 from mgsr.config import Config
 from mgsr.data.camera import Camera
 from mgsr.data.scene import Scene, Similarity, View
+from mgsr.shading.light_estimate import LightKind
 from mgsr.start.points import StartingPoints, StartSource
 
 BALL = "ball"
@@ -80,8 +81,8 @@ def pack(content: Packed, file: Path) -> None:
     arrays: dict[str, Any] = {"positions": start.positions, "colors": start.colors}
     if start.normals is not None:
         arrays["normals"] = start.normals
-    if start.shiny is not None:
-        arrays["shiny"] = start.shiny
+    if start.light is not None:
+        arrays["light"] = str(start.light)
     arrays |= {"scale": scene.user_from_scene.scale, "offset": scene.user_from_scene.offset, "name": scene.name}
     arrays |= {name: np.frombuffer(content, np.uint8) for name, content in content.findings.items()}
     for part, views in zip(PARTS, (scene.train, scene.test), strict=True):
@@ -99,8 +100,8 @@ def unpack(file: Path) -> Packed:
     views = {part: list(_views(arrays, part)) for part in PARTS}
     similarity = Similarity(float(arrays["scale"]), arrays["offset"])
     scene = Scene(str(arrays["name"]), file, "packed", views["train"], views["test"], None, similarity)
-    shiny = bool(arrays["shiny"]) if "shiny" in arrays else None
-    start = StartingPoints(arrays["positions"], arrays["colors"], StartSource.CAPTURE, arrays.get("normals"), shiny)
+    light = LightKind(str(arrays["light"])) if "light" in arrays else None
+    start = StartingPoints(arrays["positions"], arrays["colors"], StartSource.CAPTURE, arrays.get("normals"), light)
     return Packed(scene, start, {name: arrays[name].tobytes() for name in FINDINGS if name in arrays})
 
 

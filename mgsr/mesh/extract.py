@@ -31,6 +31,7 @@ def extract_mesh(
     photos: PhotoSet = PhotoSet(),
     go_on: Callable[[], bool] = lambda: True,
     start: Mesh | None = None,
+    mirroring: bool = False,
     steps: Sequence[MeshStep] | None = None,
     ground: np.ndarray | None = None,
     expert: ExpertConfig = ExpertConfig(),
@@ -44,6 +45,8 @@ def extract_mesh(
     start: the surface on which training began. Poisson reconstruction takes its points where the views have no reliable
     ones, such as on flanks that every view sees at a grazing angle. `start` replaces the trained surface if that is
     torn, or if the photographs clearly prefer `start`.
+    mirroring: whether a mirrored environment map explains the photographs on `start`. Such a map then judges between
+    the two surfaces, else photo-consistency.
     steps: the steps that finish the mesh; None: all.
     ground [4]: the plane on which the object stands, in the views' frame, where the mesh ends; None if it is unknown.
     expert: the options of all algorithms.
@@ -59,7 +62,7 @@ def extract_mesh(
     )
     context = StepContext(views, photos, config, footprint, hull, TimeLeft(go_on), ground, expert.mesh)
     trained = _by_poisson(context, start) if config.extractor is Extractor.POISSON else _by_tsdf(context)
-    kept = start if start is not None and _start_is_better(start, trained, context, expert) else None
+    kept = start if start is not None and _start_is_better(start, trained, context, mirroring, expert) else None
     mesh, light, reports = take_steps(
         trained if kept is None else kept, context, mesh_steps(expert) if steps is None else steps
     )
@@ -83,12 +86,12 @@ def take_steps(
     return mesh, light, reports
 
 
-def _start_is_better(start: Mesh, trained: Mesh, context: StepContext, expert: ExpertConfig) -> bool:
+def _start_is_better(start: Mesh, trained: Mesh, context: StepContext, mirroring: bool, expert: ExpertConfig) -> bool:
     """Return whether the surface on which training began replaces the trained one."""
     if not context.photos.views or not len(trained.faces):
         return False
     torn = is_torn(trained, start, context.options.choice.tears)
-    return torn or photographs_prefer_start(start, trained, context.photos, expert)
+    return torn or photographs_prefer_start(start, trained, context.photos, mirroring, expert)
 
 
 def _tolerance(context: StepContext) -> float:

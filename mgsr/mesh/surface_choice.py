@@ -31,15 +31,17 @@ def _openings(mesh: Mesh) -> int:
 
 
 def photographs_prefer_start(
-    start: Mesh, trained: Mesh, photos: PhotoSet, expert: ExpertConfig = ExpertConfig()
+    start: Mesh, trained: Mesh, photos: PhotoSet, mirroring: bool, expert: ExpertConfig = ExpertConfig()
 ) -> bool:
     """Return whether the photographs clearly prefer the surface on which training began.
 
-    start, trained: in the scene's frame. expert: the options of all algorithms.
+    start, trained: in the scene's frame. mirroring: whether an environment map explains the photographs on `start`.
+    Residuals under such a map are then compared, else photo-consistency. expert: the options of all algorithms.
     """
     light, choice = expert.shading.light, expert.mesh.choice
-    on_start, on_trained = (each.ratio for each in environment_residuals((start, trained), photos, light.environment))
-    if on_start <= light.max_environment_ratio:
+    if mirroring:
+        residuals = environment_residuals((start, trained), photos, light.environment)
+        on_start, on_trained = (each.ratio for each in residuals)
         return on_start <= choice.max_start_residual * on_trained
     prepared = stereo_photographs(photos.views, expert.stereo.max_object_pixels)
     before, after = (photo_consistency(prepared, surface.caster, expert.stereo.match) for surface in (start, trained))

@@ -21,6 +21,7 @@ from mgsr.shading.gloss import fit_gloss, mirrorings
 from mgsr.shading.light_estimate import LightKind
 from mgsr.shading.material import MATTE, Material
 from mgsr.shading.photo_set import PhotoSet
+from mgsr.start.points import StartingPoints
 
 
 def make_mesh(
@@ -28,11 +29,12 @@ def make_mesh(
     scene: Scene,
     config: Config,
     go_on: Callable[[], bool] = always,
-    start: Mesh | None = None,
+    start: StartingPoints | None = None,
 ) -> ReconstructedMesh:
     """Extract the surface, in the user's frame.
 
-    go_on: returns whether there is time for another round of refinement. start: as for `extract_mesh`.
+    go_on: returns whether there is time for another round of refinement. start: the points on which training began;
+    without masks, their surface is not used.
 
     Raises MeshError, with the reason, if no surface is found.
     """
@@ -40,7 +42,11 @@ def make_mesh(
     masked = masked_scene(model, scene, config)
     silhouettes = scene_silhouettes(masked, config.expert.mesh.mask_side)
     photos = PhotoSet.of_scene(masked, silhouettes, config.expert.shading.observations)
-    mesh = extract_mesh(views, config.mesh, photos, go_on, start, ground=scene.ground, expert=config.expert)
+    surface = start.surface if start is not None and scene.masked else None
+    mirroring = start is not None and start.light is LightKind.ENVIRONMENT
+    mesh = extract_mesh(
+        views, config.mesh, photos, go_on, surface, mirroring, ground=scene.ground, expert=config.expert
+    )
     return mesh.in_frame(scene.user_from_scene.to_user(mesh.vertices))
 
 

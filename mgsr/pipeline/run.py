@@ -112,9 +112,8 @@ class _Surface:
 def _make_surface(run: RunContext, trained: TrainResult) -> _Surface:
     """Extract the surface, write it, and measure it."""
     with run.step("mesh", "extracting the surface"):
-        start_surface = run.start.surface if run.scene.masked else None
         go_on = always if run.budget is None else run.budget.go_on
-        mesh = make_mesh(run.model(trained), run.scene, run.config, go_on, start_surface)
+        mesh = make_mesh(run.model(trained), run.scene, run.config, go_on, run.start)
         result_files.write_mesh(run.out, mesh, run.config.output)
     with run.step("evaluate", "scoring the surface"):
         truth = find_truth(run.scene)

@@ -40,8 +40,8 @@ def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> R
     scene = with_found_object(out, at_known_exposures(out, load_again(path, out, config)))
     model = read_models(out, scene.user_from_scene).to(chosen.torch)
     # The run compared its surface with the starting surface, which the same seed reproduces.
-    start_surface = starting_points(scene, 1, config.seed, expert=config.expert).surface if scene.masked else None
-    mesh = make_mesh(model, scene, config, start=start_surface)
+    start = starting_points(scene, 1, config.seed, expert=config.expert) if scene.masked else None
+    mesh = make_mesh(model, scene, config, start=start)
     write_mesh(out, mesh, config.output)
     write_textured(out, make_textured(model, with_irradiance(out, scene, config), config, mesh), scene, config.output)
     return mesh

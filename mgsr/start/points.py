@@ -8,6 +8,7 @@ from enum import StrEnum
 import numpy as np
 
 from mgsr.geometry.mesh import Mesh
+from mgsr.shading.light_estimate import LightKind
 from mgsr.shading.lighting import Lighting
 
 
@@ -31,8 +32,7 @@ class StartingPoints:
     positions [P,3]: float64, in the scene's frame.
     colors [P,3]: uint8 sRGB.
     normals [P,3]: outward unit normals, None if the surface is unknown.
-    shiny: whether a flash or a mirrored environment map explains how brightness changes between views; None if that
-    was not examined.
+    light: the light that explains how brightness changes between views; None if that was not examined.
     lighting: a flash's light on the surface, None without a flash.
     surface: the mesh that the points lie on, None without masks.
     """
@@ -41,6 +41,11 @@ class StartingPoints:
     colors: np.ndarray
     source: StartSource
     normals: np.ndarray | None = None
-    shiny: bool | None = None
+    light: LightKind | None = None
     lighting: Lighting | None = None
     surface: Mesh | None = None
+
+    @property
+    def shiny(self) -> bool | None:
+        """Return whether a flash or a mirrored environment map explains the brightness; None if not examined."""
+        return None if self.light is None else self.light is not LightKind.UNKNOWN

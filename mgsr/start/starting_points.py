@@ -14,7 +14,6 @@ from mgsr.data.hull import Hull, carve, cut_at, hull_surface
 from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, view_silhouettes
 from mgsr.geometry.mesh import Mesh
-from mgsr.shading.light_estimate import LightKind
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.start.background_points import background_points
 from mgsr.start.masked_surface import find_surface
@@ -143,10 +142,9 @@ def _surface_points(
     photos = PhotoSet.of_scene(scene, silhouettes, expert.shading.observations)
     found = find_surface(photos, hull, seed, progress, expert)
     positions, normals = _sample(found.mesh, count, generator)
-    shiny = found.light is not LightKind.UNKNOWN
     return replace(
         _seen_on_hull(scene.train, positions, normals, resolution, options),
-        shiny=shiny,
+        light=found.light,
         lighting=found.lighting,
         surface=found.mesh,
     )

@@ -12,6 +12,7 @@ import torch
 from benchmarks.packed_scenes import Packed, pack, read, spread, unpack
 from mgsr.config import Config, make_config
 from mgsr.data.scene import Scene, View
+from mgsr.shading.light_estimate import LightKind
 from mgsr.start.points import StartingPoints
 from mgsr.training.run import Training
 from tests.training.ball import ball_points, ball_scene
@@ -66,11 +67,11 @@ def test_everything_comes_back(tmp_path: Path) -> None:
         for i, view in enumerate(ball_scene(size=20, train=3).train)
     ]
     scene = replace(ball_scene(size=20), train=views, test=views[:1])
-    points = replace(ball_points(50), shiny=True)
+    points = replace(ball_points(50), light=LightKind.ENVIRONMENT)
     pack(Packed(scene, points, {"flash.npz": b"\0flash"}), tmp_path / "scene.npz")
     content = unpack(tmp_path / "scene.npz")
     assert [file.name for file in tmp_path.iterdir()] == ["scene.npz"]
-    assert content.findings == {"flash.npz": b"\0flash"} and content.start.shiny is True
+    assert content.findings == {"flash.npz": b"\0flash"} and content.start.light is LightKind.ENVIRONMENT
     for name in ("positions", "normals", "colors"):
         np.testing.assert_array_equal(getattr(content.start, name), getattr(points, name))
     for found, expected in zip(content.scene.train + content.scene.test, views + views[:1], strict=True):

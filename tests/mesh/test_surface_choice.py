@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 import trimesh
@@ -29,9 +31,9 @@ def surface(depth: float) -> Mesh:
 def test_the_surface_that_photographs_speak_for_is_told(mirror: bool) -> None:
     photos = PhotoSet(mirror_photographs(128) if mirror else painted_photographs(128))
     smooth, dented = surface(0), surface(0.06)
-    assert photographs_prefer_start(smooth, dented, photos)
-    assert not photographs_prefer_start(dented, smooth, photos)
-    assert not photographs_prefer_start(smooth, smooth, photos), "training's is taken where both are alike"
+    assert photographs_prefer_start(smooth, dented, photos, mirror)
+    assert not photographs_prefer_start(dented, smooth, photos, mirror)
+    assert not photographs_prefer_start(smooth, smooth, photos, mirror), "training's is taken where both are alike"
 
 
 @pytest.mark.parametrize(("holes", "torn"), [(0, False), (20, False), (60, True)])
@@ -59,8 +61,10 @@ def test_a_likelier_start_is_what_is_finished(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(extract, "is_torn", lambda *surfaces: False)
     photos = PhotoSet(painted_photographs(64)[:3])
     for kept, radius in ((True, 0.9 * RADIUS), (False, RADIUS)):
-        monkeypatch.setattr(extract, "photographs_prefer_start", lambda *surfaces, kept=kept: kept)
-        mesh = extract_mesh(views, CONFIG, photos, start=smaller)
+        prefer = Mock(return_value=kept)
+        monkeypatch.setattr(extract, "photographs_prefer_start", prefer)
+        mesh = extract_mesh(views, CONFIG, photos, start=smaller, mirroring=kept)
         assert mesh.start_kept is kept
+        assert prefer.call_args.args[3] is kept, "an environment map judges only what mirrors one"
         assert abs(np.median(np.linalg.norm(mesh.vertices, axis=1)) - radius) < 0.01
     assert not extract_mesh(views, CONFIG).start_kept

@@ -85,7 +85,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
     yield "facts", repr(scene_facts(scene))
     start = starting_points(scene, 400, 0)
     yield "brightness", brightness_jumps(scene.train)
-    yield "start", [start.positions, start.colors, start.normals, start.shiny]
+    yield "start", [start.positions, start.colors, start.normals, str(start.light)]
     models = _trained(scene, start, config)
     for model in (models.surfels, models.gaussians, models.environment_map):
         yield "training", [] if model is None else list(model.parameters().values())

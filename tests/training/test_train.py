@@ -16,6 +16,7 @@ from mgsr.errors import Cancelled, CheckpointError, TrainingError
 from mgsr.gaussians.reflector import Reflector
 from mgsr.geometry.mesh import Mesh
 from mgsr.renderers.surfels import render_surfels
+from mgsr.shading.light_estimate import LightKind
 from mgsr.training.control import TrainingControl
 from mgsr.training.plan import make_plan
 from mgsr.training.progress import Progress, TrainResult
@@ -264,7 +265,7 @@ def test_without_light_to_mirror_the_mesh_changes_nothing(setting: str) -> None:
 
 def test_a_surface_that_was_found_matte_has_no_shared_light() -> None:
     points = ball_points()
-    result = Training(ball_scene(32), replace(points, shiny=False), short()).run()
+    result = Training(ball_scene(32), replace(points, light=LightKind.UNKNOWN), short()).run()
     assert result.model.environment_map is None and result.model.reflection is Reflection.OFF
 
 

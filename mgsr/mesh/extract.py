@@ -10,6 +10,7 @@ import numpy as np
 from mgsr.config import ExpertConfig, Extractor, MeshConfig
 from mgsr.errors import MeshError
 from mgsr.geometry.mesh import Mesh
+from mgsr.mesh.cleanup import drop_unseen, seen_sides
 from mgsr.mesh.colors import vertex_colors
 from mgsr.mesh.consistency import SilhouetteHull, compare_views
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
@@ -90,8 +91,15 @@ def _start_is_better(start: Mesh, trained: Mesh, context: StepContext, mirroring
     """Return whether the surface on which training began replaces the trained one."""
     if not context.photos.views or not len(trained.faces):
         return False
-    torn = is_torn(trained, start, context.options.choice.tears)
+    tears = context.options.choice.tears
+    # What no view sees of `start` is dropped later. The trained surface ends there already: its rim is no tear.
+    torn = is_torn(trained, start, tears) and is_torn(trained, _seen(start, context), tears)
     return torn or photographs_prefer_start(start, trained, context.photos, mirroring, expert)
+
+
+def _seen(mesh: Mesh, context: StepContext) -> Mesh:
+    """Return the part of a mesh that the views see."""
+    return drop_unseen(mesh, seen_sides(mesh, context.views, context.footprint) != 0, whole_pieces=False)
 
 
 def _tolerance(context: StepContext) -> float:

@@ -55,6 +55,25 @@ def test_a_torn_surface_gives_way_to_the_start(monkeypatch: pytest.MonkeyPatch) 
     assert abs(np.median(np.linalg.norm(mesh.vertices, axis=1)) - 0.9 * RADIUS) < 0.01
 
 
+def test_the_rim_of_what_views_see_is_no_tear(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Check that the trained surface, which ends where views end, is compared with what views see of the start."""
+    above = [camera for camera in cameras_around(40, side=64) if camera.center[2] > 2]
+    compared: list[Mesh] = []
+
+    def torn(trained: Mesh, start: Mesh, tears: int) -> bool:
+        compared.append(start)
+        return len(compared) == 1
+
+    monkeypatch.setattr(extract, "is_torn", torn)
+    monkeypatch.setattr(extract, "photographs_prefer_start", lambda *surfaces: False)
+    whole = surface(0)
+    mesh = extract_mesh(views_of(ball(RADIUS), above), CONFIG, PhotoSet(painted_photographs(64)[:3]), start=whole)
+    assert not mesh.start_kept and compared[0] is whole
+    # A camera at distance 3 and height 2 sees the ball down to 0.57 of its radius below the centre.
+    lowest = compared[1].vertices[compared[1].faces].mean(axis=1)[:, 2].min()
+    assert len(above) > 3 and -0.7 * RADIUS < lowest < -0.3 * RADIUS
+
+
 def test_a_likelier_start_is_what_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
     views, smaller = views_of(ball(RADIUS), cameras_around(12, side=64)), surface(0.0)
     smaller = smaller.moved(0.9 * smaller.vertices)

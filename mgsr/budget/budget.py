@@ -336,7 +336,8 @@ def _work(config: Config, stage: str) -> int:
 
 def _splats(stage: str, factors: CostFactors, config: Config) -> dict[str, int]:
     """Return the number of splats by branch, in the middle of a stage."""
-    surfels, gaussians = starting_settings(config.train, factors.masked, costs.usual_points(factors, config))
+    points, detail = costs.usual_points(factors, config), costs.detail(factors, config)
+    surfels, gaussians = starting_settings(config.train, factors.masked, points, detail)
     branches: dict[str, SurfelConfig | GaussianConfig] = {"surfels": surfels, "gaussians": gaussians}
     if config.train.branches is not Branches.BOTH:
         branches = {config.train.branches.value: branches[config.train.branches.value]}

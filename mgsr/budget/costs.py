@@ -18,6 +18,7 @@ from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import rendered_pixels, surface_cells
 
 LOADING, LOADED = 0.15, 0.01  # seconds of reading: of any capture, and per view of the usual size
+SURFACE_PIXELS = 0.9  # area of an object's surface, in pixels of the photographs, per pixel of a view
 GROWN = 0.15  # Gaussians added by error-driven growth, per pixel of a view
 STEREO = 13.2  # seconds per megapixel that stereo searches, of all photographs together
 FILLED = 0.1  # seconds per view for filling depths in regions without contrast
@@ -99,10 +100,17 @@ def usual_count(start: int, factors: CostFactors) -> int:
     return start + round(GROWN * factors.pixels)
 
 
+def detail(factors: CostFactors, config: Config) -> float:
+    """Return the factor on the number of surfels of a masked object (`StartConfig.detail`)."""
+    area = factors.surface_pixels
+    return config.expert.start.detail(SURFACE_PIXELS * factors.pixels if area is None else area)
+
+
 def usual_points(factors: CostFactors, config: Config) -> int:
     """Return the usual number of starting points of a scene."""
     if factors.masked or factors.learned:
-        return max(config.train.surfels.max_start, config.train.gaussians.max_start)
+        most = max(config.train.surfels.max_start, config.train.gaussians.max_start)
+        return round(detail(factors, config) * most)
     return round(STEREO_POINTS * stereo_pixels(factors, config.expert.start.stereo.max_pixels))
 
 

@@ -12,7 +12,7 @@ from mgsr.data.cost_factors import CostFactors
 # MiB, fitted to the CPU runs of benchmarks/results/runs.csv: of the program with its libraries, of a million pixels of
 # photographs, of each doubling of the surface's octree beyond the preset draft, and of 1,000 splats beyond the preset
 # standard.
-_PROGRAM, _PHOTOGRAPHS, _SURFACE, _SPLATS = 880.0, 33.0, 550.0, 15.0
+_PROGRAM, _PHOTOGRAPHS, _SURFACE, _SPLATS = 880.0, 33.0, 550.0, 6.0
 _DRAFT_DEPTH, _USUAL_SPLATS = 7, 30_000
 
 
@@ -54,7 +54,8 @@ def memory_mib(factors: CostFactors, config: Config) -> float:
     """Return the most memory, MiB, that the process of a run on the CPU will hold."""
     photographs = (factors.views + factors.tests) * factors.pixels / 1e6
     surface = _SURFACE * max(0.0, 2.0 ** (config.mesh.poisson_depth - _DRAFT_DEPTH) - 1)
-    surfels, gaussians = starting_settings(config.train, factors.masked, costs.usual_points(factors, config))
+    points, detail = costs.usual_points(factors, config), costs.detail(factors, config)
+    surfels, gaussians = starting_settings(config.train, factors.masked, points, detail)
     splats = surfels.densify.max_count + gaussians.max_start
     extra = max(0, splats - _USUAL_SPLATS) / 1000
     return _PROGRAM + _PHOTOGRAPHS * photographs + surface + _SPLATS * extra

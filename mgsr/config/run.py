@@ -43,6 +43,7 @@ PRESETS: dict[str, dict[str, str]] = {
         "surfels.unmasked_start": "15000",
         "gaussians.unmasked_start": "25000",
         "expert.start.stereo.max_pixels": "700000",
+        "expert.start.usual_pixels": "240000",  # fewer surfels for large photographs
         "surfels.densify.prune_contribution": "0",  # a short mutual phase cannot repair the loss
         "gaussians.densify.prune_contribution": "0",
         "mesh.view_scale": "1.0",

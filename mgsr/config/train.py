@@ -122,7 +122,9 @@ class SurfelConfig:
     """The 2D branch: the surface."""
 
     sh_degree: int = 2  # The SH degree of colour. With a higher one, colour explains what the shape should.
-    max_start: int = 16_000  # More starting points than this are thinned at random.
+    # More starting points than this are thinned at random. Masked objects get more of them where the photographs show
+    # their surface with many pixels (expert.start.usual_pixels).
+    max_start: int = 16_000
     unmasked_start: int = 40_000  # max_start for scenes without masks, where points lie on the background too.
     start_opacity: float = 0.9  # The initial opacity.
     # The initial scale, times the mean distance of the three nearest neighbours. Wide disks stand off curved surfaces.
@@ -282,13 +284,16 @@ class TrainConfig:
     watch: WatchConfig = field(default_factory=WatchConfig)
 
 
-def starting_settings(train: TrainConfig, masked: bool, points: int) -> tuple[SurfelConfig, GaussianConfig]:
+def starting_settings(
+    train: TrainConfig, masked: bool, points: int, detail: float = 1.0
+) -> tuple[SurfelConfig, GaussianConfig]:
     """Return both branches' settings as they hold for a scene with or without masks (see Growth).
 
-    points: the number of starting points. max_start and max_count of the result are those of the scene.
+    points: the number of starting points. detail: the factor on a masked scene's surfels (`StartConfig.detail`).
+    max_start and max_count of the result are those of the scene.
     """
     surfels, gaussians = train.surfels, train.gaussians
-    most = surfels.max_start if masked else surfels.unmasked_start
+    most = round(detail * surfels.max_start) if masked else surfels.unmasked_start
     flat = _limited(surfels.densify, max(min(points, most), surfels.max_start))
     surfels = replace(surfels, max_start=most, densify=flat)
     if gaussians.densify.by is Growth.ERROR and masked:

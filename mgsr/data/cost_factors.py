@@ -21,6 +21,7 @@ class CostFactors:
     learned: whether masks are learned, as there are none.
     flash: whether the light is a flash.
     searched: whether an object is searched for, as there are no masks.
+    surface_pixels: the area of the object's surface, in pixels of the photographs; None if it is unknown.
     """
 
     views: int
@@ -32,6 +33,7 @@ class CostFactors:
     learned: bool = False
     flash: bool = False
     searched: bool = False
+    surface_pixels: float | None = None
 
     @property
     def size(self) -> float:

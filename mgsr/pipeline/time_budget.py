@@ -47,7 +47,10 @@ def cost_factors(scene: Scene, config: Config, start: StartingPoints | None = No
         shiny, flash = start.shiny, start.lighting is not None
     truth, learned = (scene.root / TRUTH).is_file(), scene.backdrop(config.train.background).plain
     searched = searches_object(scene, config)
-    return CostFactors(len(cameras), len(scene.test), pixels, truth, shiny, scene.masked, learned, flash, searched)
+    area = None if start is None else start.surface_pixels
+    return CostFactors(
+        len(cameras), len(scene.test), pixels, truth, shiny, scene.masked, learned, flash, searched, area
+    )
 
 
 def searches_object(scene: Scene, config: Config) -> bool:

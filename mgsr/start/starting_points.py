@@ -37,8 +37,9 @@ def starting_points(
     progress: receives the share of the work that is done, 0..1. background: the setting for the search for a plain
     backdrop. expert: the options of all algorithms.
 
-    With masks, `count` points lie evenly on the surface that stereo, shading and photometric refinement find inside the
-    visual hull. That surface is more accurate than the capture's own points (COLMAP).
+    With masks, the points lie evenly on the surface that stereo, shading and photometric refinement find inside the
+    visual hull. That surface is more accurate than the capture's own points (COLMAP). There are `count` of them, and
+    more where the photographs show the surface with many pixels (`StartConfig.detail`).
 
     Without masks, the points come from the capture and from stereo, with background points in directions without other
     points, and none on a plain backdrop. Their number follows from the photographs' resolution. If stereo alone finds
@@ -141,12 +142,15 @@ def _surface_points(
         hull = cut_at(hull, scene.ground)
     photos = PhotoSet.of_scene(scene, silhouettes, expert.shading.observations)
     found = find_surface(photos, hull, seed, progress, expert)
-    positions, normals = _sample(found.mesh, count, generator)
+    area = float(np.linalg.norm(found.mesh.face_crosses, axis=1).sum()) / 2
+    pixels = area / photos.pixel_on(found.mesh) ** 2
+    positions, normals = _sample(found.mesh, round(options.detail(pixels) * count), generator)
     return replace(
         _seen_on_hull(scene.train, positions, normals, resolution, options),
         light=found.light,
         lighting=found.lighting,
         surface=found.mesh,
+        surface_pixels=pixels,
     )
 
 

@@ -70,7 +70,8 @@ def make_train_state(
     """
     train, extent = config.train, camera_extent(scene)
     points = (start.positions, start.normals, start.colors)
-    flat, full = starting_settings(train, scene.masked, len(start.positions))
+    detail = config.expert.start.detail(start.surface_pixels)
+    flat, full = starting_settings(train, scene.masked, len(start.positions), detail)
     surfels, gaussians, environment_map = None, None, None
     if train.branches is not Branches.GAUSSIANS:
         generator = seeded(config, 1)

@@ -200,6 +200,8 @@ def test_the_gradient_adds_a_share_of_the_starting_points_up_to_the_largest_coun
     for points, most in ((600, 20_000), (32_000, 40_000), (10**6, 50_000)):
         assert starting_settings(make_config().train, False, points)[0].densify.max_count == most
     assert starting_settings(make_config().train, True, 10**6)[0].densify.max_count == 20_000
+    detailed = starting_settings(make_config().train, True, 10**6, detail=2.5)[0]
+    assert (detailed.max_start, detailed.densify.max_count) == (40_000, 50_000)
     asked = ["gaussians.densify.by=gradient", "gaussians.densify.max_growth=none", "gaussians.densify.max_count=70000"]
     for masked in (True, False):
         free = starting_settings(make_config(overrides=asked).train, masked, 60_000)[1]

@@ -51,6 +51,20 @@ def test_hull_points_lie_on_the_ball(ball_scene: Scene) -> None:
     assert (points.colors == [200, 100, 50]).all()
 
 
+@pytest.mark.usefixtures("neither_bent_nor_moved")
+def test_the_number_of_points_follows_the_photographs_pixels(ball_scene: Scene) -> None:
+    few = replace(ball_scene, train=ball_scene.train[::3])
+    usual, detailed = (
+        starting_points(few, 300, seed=0, expert=make_config(overrides={"usual_pixels": pixels}).expert)
+        for pixels in (1e6, 2000)
+    )
+    # A pixel is 0.037 wide at the ball, whose radius is 0.8; the hull of a few views sticks out of it.
+    pixels = 4 * np.pi * (0.8 / 0.037) ** 2
+    assert usual.surface_pixels == detailed.surface_pixels == pytest.approx(pixels, rel=0.15)
+    assert len(usual.positions) == 300
+    assert len(detailed.positions) == round(300 * present(detailed.surface_pixels) / 2000)
+
+
 @pytest.mark.slow
 def test_the_seed_decides(ball_scene: Scene) -> None:
     first, again, other = (starting_points(ball_scene, 500, seed) for seed in (1, 1, 2))

@@ -35,7 +35,8 @@ class StartingPoints:
     light: the light that explains how brightness changes between views; None if that was not examined.
     lighting: a flash's light on the surface, None without a flash.
     surface: the mesh that the points lie on, None without masks.
-    surface_pixels: the area of `surface`, in pixels of the photographs at the object; None without a surface.
+    surface_pixels: the area of `surface` that views see, in pixels of the photographs at the object; None without a
+    surface.
     """
 
     positions: np.ndarray

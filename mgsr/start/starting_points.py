@@ -38,8 +38,8 @@ def starting_points(
     backdrop. expert: the options of all algorithms.
 
     With masks, the points lie evenly on the surface that stereo, shading and photometric refinement find inside the
-    visual hull. That surface is more accurate than the capture's own points (COLMAP). There are `count` of them, and
-    more where the photographs show the surface with many pixels (`StartConfig.detail`).
+    visual hull, where a view sees it. That surface is more accurate than the capture's own points (COLMAP). There are
+    `count` of them, and more where the photographs show the surface with many pixels (`StartConfig.detail`).
 
     Without masks, the points come from the capture and from stereo, with background points in directions without other
     points, and none on a plain backdrop. Their number follows from the photographs' resolution. If stereo alone finds
@@ -142,9 +142,10 @@ def _surface_points(
         hull = cut_at(hull, scene.ground)
     photos = PhotoSet.of_scene(scene, silhouettes, expert.shading.observations)
     found = find_surface(photos, hull, seed, progress, expert)
-    area = float(np.linalg.norm(found.mesh.face_crosses, axis=1).sum()) / 2
-    pixels = area / photos.pixel_on(found.mesh) ** 2
-    positions, normals = _sample(found.mesh, round(options.detail(pixels) * count), generator)
+    pixel = photos.pixel_on(found.mesh)
+    seen = _seen(found.mesh, scene.train, pixel)
+    pixels = float(np.linalg.norm(seen.face_crosses, axis=1).sum()) / 2 / pixel**2
+    positions, normals = _sample(seen, round(options.detail(pixels) * count), generator)
     return replace(
         _seen_on_hull(scene.train, positions, normals, resolution, options),
         light=found.light,
@@ -152,6 +153,20 @@ def _surface_points(
         surface=found.mesh,
         surface_pixels=pixels,
     )
+
+
+def _seen(mesh: Mesh, views: Sequence[View], gap: float) -> Mesh:
+    """Return the faces of a mesh that a view sees; all if the views see none.
+
+    gap: the distance before a vertex, in the scene's unit, within which nothing occludes it.
+    """
+    seen = np.zeros(len(mesh.vertices), bool)
+    for view in views:
+        left = np.flatnonzero(~seen)
+        valid = None if view.alpha is None else view.alpha > 127
+        seen[left] = mesh.caster.sees(view.camera, mesh.vertices[left], gap, valid)
+    faces = seen[mesh.faces].any(axis=1)
+    return mesh.keep_faces(faces) if faces.any() else mesh
 
 
 def _seen_on_hull(

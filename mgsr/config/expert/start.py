@@ -157,8 +157,8 @@ class StartConfig(Options):
     max_spacing: Positive = 8.0  # times the median distance of three neighbours in the ball; points with a larger one
     # are wrong
     max_distance: Positive = 50.0  # ball radii; points with a larger coordinate are wrong
-    usual_pixels: Positive = 60_000.0  # area of a masked object's surface, in pixels of the photographs, up to which
-    # train.surfels.max_start holds; on a larger one, it grows in proportion
+    usual_pixels: Positive = 60_000.0  # area of a masked object's visible surface, in pixels of the photographs, up to
+    # which train.surfels.max_start holds; on a larger one, it grows in proportion
     max_detail: Annotated[float, Range(1)] = 8.0  # largest factor by which it grows
     surface: FirstSurfaceOptions = field(default_factory=FirstSurfaceOptions)
     stereo: SceneStereoOptions = field(default_factory=SceneStereoOptions)
@@ -169,6 +169,6 @@ class StartConfig(Options):
     def detail(self, surface_pixels: float | None) -> float:
         """Return the factor on the 2D branch's number of starting points, from 1 to `max_detail`.
 
-        surface_pixels: the area of the object's surface, in pixels of the photographs; None if it is unknown.
+        surface_pixels: the area of the object's visible surface, in pixels of the photographs; None if it is unknown.
         """
         return 1.0 if surface_pixels is None else min(max(1.0, surface_pixels / self.usual_pixels), self.max_detail)

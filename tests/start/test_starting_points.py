@@ -65,16 +65,15 @@ def test_the_number_of_points_follows_the_photographs_pixels(ball_scene: Scene) 
     assert len(detailed.positions) == round(300 * present(detailed.surface_pixels) / 2000)
 
 
-@pytest.mark.usefixtures("neither_bent_nor_moved")
 def test_points_lie_where_a_view_sees_the_surface(ball_scene: Scene) -> None:
     above = [view for view in ball_scene.train if view.camera.center[2] > 0.5 * np.linalg.norm(view.camera.center)]
     points = starting_points(replace(ball_scene, train=above), 1000, seed=0)
     to_camera = [view.camera.center - points.positions for view in above]
     assert points.normals is not None and points.surface is not None and len(above) > 3
     facing = np.max([(ways * points.normals).sum(axis=1) / np.linalg.norm(ways, axis=1) for ways in to_camera], axis=0)
-    assert (facing > 0).mean() > 0.85, "only faces within a pixel of the rim may turn away"
-    below = points.surface.vertices[:, 2].min() + 0.2
-    assert (points.surface.vertices[:, 2] < below).any() and (points.positions[:, 2] > below).all()
+    assert (facing > 0).mean() > 0.93, "only faces within a pixel of the rim may turn away"
+    lowest = points.surface.vertices[:, 2].min()
+    assert np.quantile(points.positions[:, 2], 0.01) > lowest + 0.2, "the cone below the ball is out of sight"
 
 
 @pytest.mark.slow

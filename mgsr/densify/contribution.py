@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import torch
 from torch import Tensor
@@ -18,16 +18,35 @@ def contributions(model: SurfelModel | GaussianModel, cameras: Sequence[Camera])
     """Return each splat's contribution [N]: its blending weights summed over all pixels of all cameras.
 
     A weight is the splat's alpha times the transmittance before it; a reflected half's is also multiplied by the
-    pixel's reflection weight. An image is linear in the splats' colours, so its derivatives with respect to them are
-    these weights.
+    pixel's reflection weight.
+    """
+    total = torch.zeros_like(model.opacity_logits)
+    for each in _contributions(model, cameras):
+        total += each
+    return total
+
+
+def largest_contributions(model: SurfelModel | GaussianModel, cameras: Sequence[Camera]) -> Tensor:
+    """Return each splat's largest contribution [N] to a camera's image (see `contributions`).
+
+    Unlike the sum, it is as large where few photographs show the surface as where many do.
+    """
+    largest = torch.zeros_like(model.opacity_logits)
+    for each in _contributions(model, cameras):
+        largest = torch.maximum(largest, each)
+    return largest
+
+
+def _contributions(model: SurfelModel | GaussianModel, cameras: Sequence[Camera]) -> Iterator[Tensor]:
+    """Yield each splat's contribution [N] to each camera's image.
+
+    An image is linear in the splats' colours, so its derivatives with respect to them are the blending weights.
     """
     model = model.detached()
-    total = torch.zeros_like(model.opacity_logits)
     for camera in cameras:
         white = torch.ones_like(model.means, requires_grad=True)
         (weights,) = torch.autograd.grad(_drawn(model, white, camera).sum(), white)
-        total += weights[:, 0]
-    return total
+        yield weights[:, 0]
 
 
 def least_contributing(contributions: Tensor, share: float) -> Tensor:

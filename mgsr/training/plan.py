@@ -12,7 +12,7 @@ from mgsr.config import Branches, Config, DensifyConfig, Growth, Reflection, Sto
 from mgsr.data.backdrop import Backdrop, Color
 from mgsr.data.scene import Scene
 from mgsr.densify.clearance import Clearance
-from mgsr.densify.contribution import contributions, least_contributing
+from mgsr.densify.contribution import largest_contributions, least_contributing
 from mgsr.errors import TrainingError
 from mgsr.gaussians.reflector import Reflector
 from mgsr.start.points import StartingPoints
@@ -210,7 +210,7 @@ def _pruning(branch: Branch[Any], views: list[TrainingView]) -> Callable[[], int
     def prune() -> int:
         if not share or any(view.mask is None for view in views):
             return 0
-        each = contributions(branch.model, [view.camera for view in views])
+        each = largest_contributions(branch.model, [view.camera for view in views])
         kept = (~least_contributing(each, share)).nonzero().squeeze(1)
         dropped = len(branch.model) - len(kept)
         branch.keep(kept)

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from mgsr.data.camera import Camera
-from mgsr.densify.contribution import contributions, least_contributing
+from mgsr.densify.contribution import contributions, largest_contributions, least_contributing
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.surfels import SurfelModel
 from tests.ops.splat_scenes import splat_arguments
@@ -41,9 +41,10 @@ def noise() -> Callable[..., torch.Tensor]:
 def test_it_is_what_a_lone_white_splat_adds_to_black_ones(kind: str) -> None:
     model = some_surfels() if kind == "surfels" else some_gaussians(split=kind.startswith("split"))
     cameras = [view.camera for view in ball_scene(size=24, train=3).train]
-    alone = torch.tensor([sum(added(model, camera, i) for camera in cameras) for i in range(COUNT)])
-    assert alone.min() < 0.05 * alone.max()
-    torch.testing.assert_close(contributions(model, cameras), alone, rtol=1e-4, atol=1e-3)
+    alone = torch.tensor([[added(model, camera, i) for i in range(COUNT)] for camera in cameras])
+    assert alone.sum(0).min() < 0.05 * alone.sum(0).max()
+    torch.testing.assert_close(contributions(model, cameras), alone.sum(0), rtol=1e-4, atol=1e-3)
+    torch.testing.assert_close(largest_contributions(model, cameras), alone.amax(0), rtol=1e-4, atol=1e-3)
 
 
 def added(model: SurfelModel | GaussianModel, camera: Camera, index: int) -> float:

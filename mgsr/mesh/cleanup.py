@@ -14,6 +14,20 @@ from mgsr.mesh.consistency import SilhouetteHull
 from mgsr.mesh.views import SurfaceView
 
 
+def pulled_inside(
+    positions: np.ndarray, normals: np.ndarray, hull: SilhouetteHull, margin: float, rounds: int = 3
+) -> np.ndarray:
+    """Move positions [P,3] inwards along unit normals [P,3] until they lie inside the silhouettes; return them.
+
+    margin: the tolerance outside a silhouette, in pixels.
+    """
+    moved = positions.copy()
+    for _ in range(rounds):
+        # At a silhouette the normal lies in the image plane, so the excess there is the distance along the normal.
+        moved -= normals * hull.excess(moved, margin)[:, None]
+    return moved
+
+
 def pull_into_hull(mesh: Mesh, hull: SilhouetteHull, margin: float, reach: float, rounds: int = 3) -> Mesh:
     """Move vertices outside the silhouettes inwards along their normals, and drop faces that lie too far outside.
 
@@ -22,10 +36,8 @@ def pull_into_hull(mesh: Mesh, hull: SilhouetteHull, margin: float, reach: float
     """
     excess = hull.excess(mesh.vertices, margin)
     outside = np.flatnonzero((excess > 0) & (excess <= reach))
-    inwards, moved = -mesh.normals[outside], mesh.vertices.copy()
-    for _ in range(rounds):
-        # At a silhouette the normal lies in the image plane, so the excess there is the distance along the normal.
-        moved[outside] += inwards * hull.excess(moved[outside], margin)[:, None]
+    moved = mesh.vertices.copy()
+    moved[outside] = pulled_inside(moved[outside], mesh.normals[outside], hull, margin, rounds)
     return mesh.moved(moved).keep_faces((excess <= reach)[mesh.faces].all(1))
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from mgsr.config import ExpertConfig, Extractor, MeshConfig
 from mgsr.errors import MeshError
 from mgsr.geometry.mesh import Mesh
-from mgsr.mesh.cleanup import drop_unseen, seen_sides
+from mgsr.mesh.cleanup import drop_unseen, pulled_inside, seen_sides
 from mgsr.mesh.colors import vertex_colors
 from mgsr.mesh.consistency import SilhouetteHull, compare_views
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
-from mgsr.mesh.points import front_views, gather_points, missing_points
+from mgsr.mesh.points import OrientedPoints, front_views, gather_points, missing_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
 from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepReport, TimeLeft, cure
@@ -129,12 +129,29 @@ def _by_poisson(context: StepContext, start: Mesh | None) -> Mesh:
         agreement = compare_views(points, views, _rules(config), config.consistency, threads, reach)
         points, supporting = agreement.moved.where(agreement.agreed), supporting[agreement.agreed]
     if hull is not None:
-        inside = hull.excess(points.positions, config.hull_margin or 0) == 0
-        points, supporting = points.where(inside), supporting[inside]
+        points, supporting = _inside(points, supporting, hull, context, config.trim * cell)
     if len(points) < 4:
         raise MeshError(_all_dropped(config))
     mesh = poisson_surface(points, config.poisson_depth, options.poisson_margin)
     return mesh if config.close_holes else trim_unsupported(mesh, points.where(supporting), config.trim * cell)
+
+
+def _inside(
+    points: OrientedPoints, supporting: np.ndarray, hull: SilhouetteHull, context: StepContext, reach: float
+) -> tuple[OrientedPoints, np.ndarray]:
+    """Return the points inside the silhouettes, and which of them support the surface.
+
+    supporting [P] bool: the points that support it. Where all points within `reach`, in the scene's unit, lie outside,
+    those that are near enough are pulled inside: a mask that is a little too small would leave a hole.
+    """
+    margin = context.config.hull_margin or 0
+    excess = hull.excess(points.positions, margin)
+    inside, alone = excess == 0, (excess > 0) & (excess <= context.config.hull_reach * context.footprint)
+    kept = points.where(inside)
+    alone[alone] = ~kept.near(points.positions[alone], reach)
+    lost = points.where(alone)
+    pulled = OrientedPoints(pulled_inside(lost.positions, lost.normals, hull, margin), lost.normals)
+    return kept.joined(pulled), np.append(supporting[inside], supporting[alone])
 
 
 def _extent(views: Sequence[SurfaceView], config: MeshConfig, outliers: float) -> float:

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from mgsr.config import ExpertConfig, Extractor, MeshConfig
 from mgsr.config.expert import MeshOptions
+from mgsr.data.silhouettes import Silhouette, signed_distance
 from mgsr.errors import MeshError
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import topology
@@ -121,6 +122,18 @@ def test_nothing_stays_outside_the_silhouettes() -> None:
     assert radial_error(free).mean() == pytest.approx(0.04, abs=0.004)
     # One pixel, 0.018, is forgiven, and 16 silhouettes touch a ball in 16 circles only.
     assert radial_error(held).mean() < 0.032
+
+
+def test_a_mask_that_is_a_little_too_small_leaves_no_hole() -> None:
+    cameras = cameras_around(16)
+    views, silhouettes = views_of(ball(RADIUS), cameras), silhouettes_of(ball(RADIUS), cameras)
+    inside = silhouettes[0].distance > 0
+    notched = inside.copy()
+    notched[: int(np.flatnonzero(inside.any(axis=1))[0]) + 4] = False  # four pixels, 0.07, are missing at the top
+    wrong = [Silhouette(cameras[0], signed_distance(notched.astype(np.float32))), *silhouettes[1:]]
+    mesh = extract_mesh(views, replace(CONFIG, silhouette_smoothing=None), PhotoSet(silhouettes=wrong))
+    assert topology(mesh).boundary_edges == 0
+    assert 0.03 < radial_error(mesh).max() < 0.08 and np.quantile(radial_error(mesh), 0.9) < 0.02
 
 
 def test_one_wrong_mask_cuts_only_where_no_mask_may_dissent() -> None:

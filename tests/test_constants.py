@@ -68,6 +68,7 @@ REMAINING = {
     "budget/costs.STARTED": PROGRESS,
     "budget/costs.STEREO": PROGRESS,
     "budget/costs.STEREO_POINTS": PROGRESS,
+    "budget/costs.SURFACE_PIXELS": PROGRESS,
     "budget/costs.SURFEL_ITERATION": PROGRESS,
     "budget/costs.TEST_DRAWN": PROGRESS,
     "budget/costs.TEST_SCORED": PROGRESS,

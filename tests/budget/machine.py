@@ -100,7 +100,9 @@ def run_on(machine: Machine, factors: CostFactors, config: Config, seconds: floa
     lengths = (train.warmup.surfel_iterations, train.warmup.gaussian_iterations, train.mutual.iterations)
     stages = [*(Stage(*pair) for pair in zip(names, lengths, strict=True)), Stage(FINISH, 0)]
     full = {
-        "surfels": starting_settings(train, factors.masked, costs.usual_points(factors, config))[0].densify.max_count,
+        "surfels": starting_settings(
+            train, factors.masked, costs.usual_points(factors, config), costs.detail(factors, budget.settings)
+        )[0].densify.max_count,
         "gaussians": costs.usual_count(train.gaussians.max_start, factors),
     }
     for index in range(3):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from mgsr.budget import costs
 from mgsr.budget.costs import textured_cost
 from mgsr.budget.estimate import Estimate, Speed, estimate_run
 from mgsr.config import PRESETS, Config, make_config
@@ -61,6 +63,15 @@ def test_seconds_are_in_proportion_to_those_of_measured_runs() -> None:
         )
     assert sum(len(found) for found in ratios.values() if len(found) > 2) > 15
     assert all(max(found) / min(found) < 1.95 for found in ratios.values())
+
+
+def test_surfels_follow_the_pixels_that_show_the_object() -> None:
+    config, usual = make_config(), CostFactors(48, 8, 256 * 256, truth=True)
+    large = replace(usual, pixels=4 * usual.pixels)
+    small_object = replace(large, surface_pixels=usual.pixels)
+    assert costs.detail(usual, config) == 1 and costs.detail(small_object, config) < 1.1
+    assert 3.5 < costs.detail(large, config) < 4.5 and costs.detail(replace(large, pixels=1e9), config) == 8
+    assert costs.detail(large, make_config("draft")) < 1.1
 
 
 def test_each_preset_of_a_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

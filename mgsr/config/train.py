@@ -88,9 +88,8 @@ class DensifyConfig:
     # The gradient adds no splats beyond this many times the starting points, or max_start if that is more. none: it
     # has no such limit.
     max_growth: float | None = 1.25
-    # After the warm-up, the splats whose largest contribution to a photograph is least are pruned: together this share
-    # of all these contributions. Scenes without masks prune none, because a few huge background splats contribute most
-    # there.
+    # After the warm-up, the splats that contribute least are pruned: together this share of all contributions. Scenes
+    # without masks prune none, because a few huge background splats contribute most there.
     prune_contribution: float = 0.06
 
 
@@ -113,8 +112,7 @@ class GaussianDensifyConfig(DensifyConfig):
     beta2: float = 0.99  # Adam's beta2 with by=error, in place of rates.beta2.
     prune_opacity: float = 0.005  # Gaussians of lower opacity than this are pruned.
     max_growth: float | None = 1.5
-    # After the warm-up, the Gaussians whose largest contribution to a photograph is least are pruned: together this
-    # share of all these contributions.
+    # After the warm-up, the Gaussians that contribute least are pruned: together this share of all contributions.
     # Scenes without masks prune none.
     prune_contribution: float = 0.01
 

@@ -164,8 +164,8 @@ def _about_stages(data: ReportData) -> Iterator[Decision]:
             branch = name.removeprefix("warmup_")
             share = f"{_settings(data, 'train', branch, 'densify')['prune_contribution']:.0%}"
             why = (
-                f"{run.dropped:,} were pruned after the warm-up. Together their largest contributions to a photograph "
-                f"were less than {share} of all."
+                f"{run.dropped:,} were pruned after the warm-up. Together they held less than {share} of all "
+                "contributions."
             )
             yield Decision(SPLATS[branch], f"{data.gaussians[branch]:,}", why)
 

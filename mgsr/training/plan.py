@@ -12,9 +12,10 @@ from mgsr.config import Branches, Config, DensifyConfig, Growth, Reflection, Sto
 from mgsr.data.backdrop import Backdrop, Color
 from mgsr.data.scene import Scene
 from mgsr.densify.clearance import Clearance
-from mgsr.densify.contribution import largest_contributions, least_contributing
+from mgsr.densify.contribution import contributions, largest_contributions, least_contributing
 from mgsr.errors import TrainingError
 from mgsr.gaussians.reflector import Reflector
+from mgsr.gaussians.surfels import SurfelModel
 from mgsr.start.points import StartingPoints
 from mgsr.training.branch import Branch
 from mgsr.training.convergence import make_convergence
@@ -203,14 +204,16 @@ def _gaussian_warmup(
 def _pruning(branch: Branch[Any], views: list[TrainingView]) -> Callable[[], int]:
     """Return a function that prunes the splats of least contribution from a branch, and returns their number.
 
-    Together they contribute less than the share that the branch's settings give.
+    Together they contribute less than the share that the branch's settings give. Of a surfel, the photograph with the
+    largest contribution counts: the surface matters wherever one photograph shows it.
     """
     share = branch.densify.prune_contribution
 
     def prune() -> int:
         if not share or any(view.mask is None for view in views):
             return 0
-        each = largest_contributions(branch.model, [view.camera for view in views])
+        measure = largest_contributions if isinstance(branch.model, SurfelModel) else contributions
+        each = measure(branch.model, [view.camera for view in views])
         kept = (~least_contributing(each, share)).nonzero().squeeze(1)
         dropped = len(branch.model) - len(kept)
         branch.keep(kept)

@@ -21,7 +21,7 @@ from PIL import Image
 from mgsr.config import Config
 from mgsr.data.camera import Camera
 from mgsr.data.scene import Scene, Similarity, View
-from mgsr.shading.light_estimate import LightKind
+from mgsr.shading.light_kind import LightKind
 from mgsr.start.points import StartingPoints, StartSource
 
 BALL = "ball"

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from mgsr.pipeline.reconstruction import Reconstruction, load_result, reconstruct
     from mgsr.pipeline.result_paths import ResultPaths
     from mgsr.report.data import ReportData
-    from mgsr.shading.light_estimate import LightKind
+    from mgsr.shading.light_kind import LightKind
     from mgsr.shading.lighting import Lighting
 
 __version__ = "0.1.0"
@@ -102,7 +102,7 @@ _MODULES = {
     "ReconstructedMesh": "mgsr.mesh.surface",
     "Reconstruction": "mgsr.pipeline.reconstruction",
     "Rendering": "mgsr.export.renders",
-    "LightKind": "mgsr.shading.light_estimate",
+    "LightKind": "mgsr.shading.light_kind",
     "Lighting": "mgsr.shading.lighting",
     "ReportData": "mgsr.report.data",
     "ResultPaths": "mgsr.pipeline.result_paths",

@@ -10,7 +10,7 @@ import numpy as np
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.steps.step import StepReport
 from mgsr.mesh.unwrap import UnwrappedMesh
-from mgsr.shading.light_estimate import LightKind
+from mgsr.shading.light_kind import LightKind
 from mgsr.shading.material import Material
 
 

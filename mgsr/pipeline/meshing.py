@@ -18,7 +18,7 @@ from mgsr.mesh.texture import texture_levels
 from mgsr.pipeline.rendering import masked_scene, scene_silhouettes, surface_views
 from mgsr.pipeline.steps import always
 from mgsr.shading.gloss import fit_gloss, mirrorings
-from mgsr.shading.light_estimate import LightKind
+from mgsr.shading.light_kind import LightKind
 from mgsr.shading.material import MATTE, Material
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.start.points import StartingPoints

@@ -31,7 +31,7 @@ from mgsr.pipeline.run_context import RunControl
 from mgsr.pipeline.run_log import RunLog
 from mgsr.pipeline.steps import never
 from mgsr.report.data import ReportData
-from mgsr.shading.light_estimate import LightKind
+from mgsr.shading.light_kind import LightKind
 from mgsr.shading.lighting import Lighting
 
 

@@ -3,25 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 
 from mgsr.config.expert import LightOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.flash import flash_ratio
+from mgsr.shading.light_kind import LightKind
 from mgsr.shading.light_models import EnvironmentLight, FlashLight, LightModel, fit_mirrored_environment
 from mgsr.shading.photo_set import PhotoSet
-
-
-class LightKind(StrEnum):
-    """The kind of light in a capture.
-
-    flash: a lamp on the camera. environment: static light that the surface mirrors. unknown: neither explains the
-    photographs well enough.
-    """
-
-    FLASH = "flash"
-    ENVIRONMENT = "environment"
-    UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ from mgsr.geometry.contours import SilhouetteContour, contour_gaps
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import diffuse, integrate_normals
 from mgsr.geometry.mesh import Mesh
-from mgsr.shading.light_estimate import LightEstimate, LightKind
+from mgsr.shading.light_estimate import LightEstimate
+from mgsr.shading.light_kind import LightKind
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.shading.target_normals import TargetNormals
 

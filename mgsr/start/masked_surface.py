@@ -21,7 +21,8 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
 from mgsr.shading.environment_residual import EnvironmentResidual, environment_residuals
-from mgsr.shading.light_estimate import LightEstimate, LightKind, estimate_light
+from mgsr.shading.light_estimate import LightEstimate, estimate_light
+from mgsr.shading.light_kind import LightKind
 from mgsr.shading.lighting import Lighting
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.shading.photometric_refinement import refine_photometrically

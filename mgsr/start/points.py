@@ -8,7 +8,7 @@ from enum import StrEnum
 import numpy as np
 
 from mgsr.geometry.mesh import Mesh
-from mgsr.shading.light_estimate import LightKind
+from mgsr.shading.light_kind import LightKind
 from mgsr.shading.lighting import Lighting
 
 

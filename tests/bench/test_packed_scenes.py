@@ -12,7 +12,7 @@ import torch
 from benchmarks.packed_scenes import Packed, pack, read, spread, unpack
 from mgsr.config import Config, make_config
 from mgsr.data.scene import Scene, View
-from mgsr.shading.light_estimate import LightKind
+from mgsr.shading.light_kind import LightKind
 from mgsr.start.points import StartingPoints
 from mgsr.training.run import Training
 from tests.training.ball import ball_points, ball_scene

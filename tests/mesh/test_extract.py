@@ -20,7 +20,8 @@ from mgsr.mesh.points import OrientedPoints, front_views, missing_points
 from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult
 from mgsr.mesh.views import SurfaceView
-from mgsr.shading.light_estimate import LightEstimate, LightKind
+from mgsr.shading.light_estimate import LightEstimate
+from mgsr.shading.light_kind import LightKind
 from mgsr.shading.photo_set import PhotoSet
 from tests.mesh.shapes import as_mesh, ball, cameras_around, joined, position_color, silhouettes_of, views_of
 from tests.shading.test_shape_from_shading import Shade, flash, matte, photographs, rippled

@@ -24,7 +24,8 @@ from mgsr.config.expert import (
 )
 from mgsr.geometry.mesh import Mesh
 from mgsr.shading.ambient_occlusion import estimate_occlusion
-from mgsr.shading.light_estimate import LightEstimate, LightKind, estimate_light
+from mgsr.shading.light_estimate import LightEstimate, estimate_light
+from mgsr.shading.light_kind import LightKind
 from mgsr.shading.light_models import EnvironmentLight, FlashLight
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.shading.photometric_refinement import refine_photometrically

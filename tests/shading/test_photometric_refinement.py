@@ -17,7 +17,7 @@ from mgsr.data.scene import Scene, Similarity, View
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.pixels import back_project
-from mgsr.shading.light_estimate import LightKind
+from mgsr.shading.light_kind import LightKind
 from mgsr.shading.light_models import EnvironmentLight, FlashLight
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.shading.photometric_refinement import refine_photometrically

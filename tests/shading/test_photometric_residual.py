@@ -14,7 +14,8 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.extract import take_steps
 from mgsr.mesh.steps import mesh_steps
 from mgsr.mesh.steps.step import StepContext
-from mgsr.shading.light_estimate import LightEstimate, LightKind
+from mgsr.shading.light_estimate import LightEstimate
+from mgsr.shading.light_kind import LightKind
 from mgsr.shading.light_models import FlashLight
 from mgsr.shading.photo_set import PhotoSet
 from mgsr.shading.photometric_residual import photometric_residual

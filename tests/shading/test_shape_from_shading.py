@@ -16,7 +16,8 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.shading.environment_fit import fit_environment_map
 from mgsr.shading.environment_normals import normals_from_environment
-from mgsr.shading.light_estimate import LightEstimate, LightKind, estimate_light
+from mgsr.shading.light_estimate import LightEstimate, estimate_light
+from mgsr.shading.light_kind import LightKind
 from mgsr.shading.light_models import EnvironmentLight
 from mgsr.shading.observations import observe_photographs
 from mgsr.shading.photo_set import PhotoSet

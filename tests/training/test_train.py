@@ -16,7 +16,7 @@ from mgsr.errors import Cancelled, CheckpointError, TrainingError
 from mgsr.gaussians.reflector import Reflector
 from mgsr.geometry.mesh import Mesh
 from mgsr.renderers.surfels import render_surfels
-from mgsr.shading.light_estimate import LightKind
+from mgsr.shading.light_kind import LightKind
 from mgsr.training.control import TrainingControl
 from mgsr.training.plan import make_plan
 from mgsr.training.progress import Progress, TrainResult

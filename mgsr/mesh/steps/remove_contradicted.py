@@ -11,7 +11,8 @@ from mgsr.config.expert.mesh_steps.remove_contradicted import RemoveContradicted
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import drop_small_pieces
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult
-from mgsr.shading.light_estimate import LightEstimate, LightKind
+from mgsr.shading.light_estimate import LightEstimate
+from mgsr.shading.light_kind import LightKind
 from mgsr.shading.photometric_residual import photometric_residual
 
 

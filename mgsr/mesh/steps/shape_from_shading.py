@@ -14,7 +14,8 @@ from mgsr.config.expert import LightOptions, ShadingOptions, ShadingPass
 from mgsr.data.cost_factors import CostFactors
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult, reading_size
-from mgsr.shading.light_estimate import LightEstimate, LightKind, estimate_light
+from mgsr.shading.light_estimate import LightEstimate, estimate_light
+from mgsr.shading.light_kind import LightKind
 from mgsr.shading.shape_from_shading import shape_from_shading
 
 # Seconds on the reference scene: of a round under a flash, and of the comparison of the light models.

@@ -10,7 +10,8 @@ from mgsr.data.cost_factors import CostFactors
 from mgsr.geometry.low_frequency import smooth_low_frequency
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult, surface_cells
-from mgsr.shading.light_estimate import LightEstimate, LightKind
+from mgsr.shading.light_estimate import LightEstimate
+from mgsr.shading.light_kind import LightKind
 
 SMOOTHING = 2.5  # seconds on the reference scene
 

@@ -27,7 +27,6 @@ from mgsr.config import (
     MeshConfig,
     Reflection,
     SurfelConfig,
-    starting_settings,
 )
 from mgsr.data.cost_factors import CostFactors
 from mgsr.training.stage_scheduler import FINISH, StageLength
@@ -336,8 +335,7 @@ def _work(config: Config, stage: str) -> int:
 
 def _splats(stage: str, factors: CostFactors, config: Config) -> dict[str, int]:
     """Return the number of splats by branch, in the middle of a stage."""
-    points, detail = costs.usual_points(factors, config), costs.detail(factors, config)
-    surfels, gaussians = starting_settings(config.train, factors.masked, points, detail)
+    surfels, gaussians = costs.usual_settings(factors, config)
     branches: dict[str, SurfelConfig | GaussianConfig] = {"surfels": surfels, "gaussians": gaussians}
     if config.train.branches is not Branches.BOTH:
         branches = {config.train.branches.value: branches[config.train.branches.value]}

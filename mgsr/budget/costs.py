@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from mgsr.config import Config, MeshConfig
+from mgsr.config import Config, GaussianConfig, MeshConfig, SurfelConfig, starting_settings
 from mgsr.config.expert import SceneStereoOptions
 from mgsr.data.cost_factors import CostFactors
 from mgsr.data.image_pairs import pair_count
@@ -112,6 +112,11 @@ def usual_points(factors: CostFactors, config: Config) -> int:
         most = max(config.train.surfels.max_start, config.train.gaussians.max_start)
         return round(detail(factors, config) * most)
     return round(STEREO_POINTS * stereo_pixels(factors, config.expert.start.stereo.max_pixels))
+
+
+def usual_settings(factors: CostFactors, config: Config) -> tuple[SurfelConfig, GaussianConfig]:
+    """Return both branches' settings as they usually hold for a scene (`starting_settings`)."""
+    return starting_settings(config.train, factors.masked, usual_points(factors, config), detail(factors, config))
 
 
 def surface_cost(factors: CostFactors, config: MeshConfig) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from mgsr.budget import costs
 from mgsr.budget.budget import reference_training
-from mgsr.config import Config, starting_settings
+from mgsr.config import Config
 from mgsr.data.cost_factors import CostFactors
 
 # MiB, fitted to the CPU runs of benchmarks/results/runs.csv: of the program with its libraries, of a million pixels of
@@ -54,8 +54,7 @@ def memory_mib(factors: CostFactors, config: Config) -> float:
     """Return the most memory, MiB, that the process of a run on the CPU will hold."""
     photographs = (factors.views + factors.tests) * factors.pixels / 1e6
     surface = _SURFACE * max(0.0, 2.0 ** (config.mesh.poisson_depth - _DRAFT_DEPTH) - 1)
-    points, detail = costs.usual_points(factors, config), costs.detail(factors, config)
-    surfels, gaussians = starting_settings(config.train, factors.masked, points, detail)
+    surfels, gaussians = costs.usual_settings(factors, config)
     splats = surfels.densify.max_count + gaussians.max_start
     extra = max(0, splats - _USUAL_SPLATS) / 1000
     return _PROGRAM + _PHOTOGRAPHS * photographs + surface + _SPLATS * extra

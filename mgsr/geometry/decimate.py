@@ -24,5 +24,4 @@ def coarser(mesh: Mesh, edge: float, max_faces: int) -> Mesh:
 
     edge: in the vertices' unit. At least 1000 faces stay if the mesh has as many.
     """
-    area = np.linalg.norm(mesh.face_crosses, axis=1).sum() / 2
-    return decimate(mesh, min(max_faces, max(1000, round(area / (0.433 * edge**2)))))
+    return decimate(mesh, min(max_faces, max(1000, round(mesh.area / (0.433 * edge**2)))))

@@ -25,6 +25,11 @@ class Mesh:
     vertices: np.ndarray
     faces: np.ndarray
 
+    @property
+    def area(self) -> float:
+        """Return the area of all faces, in the vertices' unit squared."""
+        return float(np.linalg.norm(self.face_crosses, axis=1).sum()) / 2
+
     @cached_property
     def face_crosses(self) -> np.ndarray:
         """Return the face normals [F,3], each with the length of twice the face's area."""

@@ -98,8 +98,9 @@ def _start_is_better(start: Mesh, trained: Mesh, context: StepContext, mirroring
 
 
 def _seen(mesh: Mesh, context: StepContext) -> Mesh:
-    """Return the part of a mesh that the views see."""
-    return drop_unseen(mesh, seen_sides(mesh, context.views, context.footprint) != 0, whole_pieces=False)
+    """Return the part of a mesh that the step `KeepSeen` keeps."""
+    seen = seen_sides(mesh, context.views, context.footprint) != 0
+    return drop_unseen(mesh, seen, whole_pieces=context.config.close_holes)
 
 
 def _tolerance(context: StepContext) -> float:

@@ -36,9 +36,8 @@ def unwrap(
     texel: the size of a texel in the mesh's unit; larger if the atlas would exceed `options.max_side`. side: the texels
     along each side of a square atlas instead, whatever their size.
     """
-    area = float(np.linalg.norm(mesh.face_crosses, axis=1).sum()) / 2
     limit = side or options.max_side
-    full = (area / options.filled) ** 0.5 / limit
+    full = (mesh.area / options.filled) ** 0.5 / limit
     texel = max(texel, full) if side is None else full
     charts = cut_charts(mesh, (options.min_chart * texel) ** 2, options.charts)
     origin, faces, uvs, size = _packed(charts, texel, limit, side is not None, options.padding)

@@ -144,7 +144,7 @@ def _surface_points(
     found = find_surface(photos, hull, seed, progress, expert)
     pixel = photos.pixel_on(found.mesh)
     seen = _seen(found.mesh, scene.train, pixel)
-    pixels = float(np.linalg.norm(seen.face_crosses, axis=1).sum()) / 2 / pixel**2
+    pixels = seen.area / pixel**2
     positions, normals = _sample(seen, round(options.detail(pixels) * count), generator)
     return replace(
         _seen_on_hull(scene.train, positions, normals, resolution, options),

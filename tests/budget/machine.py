@@ -10,7 +10,7 @@ import numpy as np
 
 from mgsr.budget import costs
 from mgsr.budget.budget import TimeBudget
-from mgsr.config import Config, MeshConfig, starting_settings
+from mgsr.config import Config, MeshConfig
 from mgsr.data.cost_factors import CostFactors
 from mgsr.training.stage_scheduler import FINISH
 
@@ -100,9 +100,7 @@ def run_on(machine: Machine, factors: CostFactors, config: Config, seconds: floa
     lengths = (train.warmup.surfel_iterations, train.warmup.gaussian_iterations, train.mutual.iterations)
     stages = [*(Stage(*pair) for pair in zip(names, lengths, strict=True)), Stage(FINISH, 0)]
     full = {
-        "surfels": starting_settings(
-            train, factors.masked, costs.usual_points(factors, config), costs.detail(factors, budget.settings)
-        )[0].densify.max_count,
+        "surfels": costs.usual_settings(factors, budget.settings)[0].densify.max_count,
         "gaussians": costs.usual_count(train.gaussians.max_start, factors),
     }
     for index in range(3):

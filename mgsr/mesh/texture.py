@@ -51,7 +51,7 @@ def texture_levels(
             break
         reduced = _reduced(full, faces, own.same_side)
         width = None if output.texture is None else max(MIN_TEXTURE, round(output.texture * own.level_texels**level))
-        unwrapped = unwrap(reduced, pixel / own.level_texels**level, width, own.unwrap)
+        unwrapped = unwrap(reduced, own.texel * pixel / own.level_texels**level, width, own.unwrap)
         levels.append(_baked(unwrapped, lit, views, config, options))
         faces = round(faces * own.level_faces)
     return levels

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsr.config.expert import UnwrapOptions
-from mgsr.geometry.charts import Charts, cut_charts
+from mgsr.geometry.charts import cut_charts
 from mgsr.geometry.mesh import Mesh
+from mgsr.mesh.packing import pack_charts
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,40 +41,14 @@ def unwrap(
     full = (mesh.area / options.filled) ** 0.5 / limit
     texel = max(texel, full) if side is None else full
     charts = cut_charts(mesh, (options.min_chart * texel) ** 2, options.charts)
-    origin, faces, uvs, size = _packed(charts, texel, limit, side is not None, options.padding)
-    size = size if side is None else (side, side)
-    normals = mesh.normals[charts.origin][origin]
-    vertices = mesh.vertices[charts.origin][origin]
-    tangents = tangent_space(Mesh(vertices, faces).with_normals(normals), uvs * size[::-1])
-    unwrapped: UnwrappedMesh = UnwrappedMesh(vertices, faces, uvs, tangents, size).with_normals(normals)
+    atlas = pack_charts(charts, texel, side, options)
+    uvs = (atlas.places / atlas.size[::-1]).astype(np.float32)
+    size = atlas.size if side is None else (side, side)
+    origin = charts.origin[atlas.origin]
+    normals, vertices = mesh.normals[origin], mesh.vertices[origin]
+    tangents = tangent_space(Mesh(vertices, atlas.faces).with_normals(normals), uvs * size[::-1])
+    unwrapped: UnwrappedMesh = UnwrappedMesh(vertices, atlas.faces, uvs, tangents, size).with_normals(normals)
     return unwrapped
-
-
-def _packed(
-    charts: Charts, texel: float, limit: int, fill: bool, padding: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, int]]:
-    """Pack charts into one atlas.
-
-    texel: the size of a texel; with `fill`, its size is chosen so that the atlas is about `limit` texels wide. padding:
-    the texels between two charts. They take the nearest chart's values, so that neither bilinear sampling nor mipmaps
-    mix in a background.
-
-    Returns for each new vertex the charts' vertex [V], the faces [F,3] of new vertices, texture coordinates [V,2] 0..1,
-    and the atlas's height and width.
-    """
-    import xatlas  # imported here, because nothing else needs it
-
-    atlas = xatlas.Atlas()
-    atlas.add_uv_mesh(charts.places.astype(np.float32), charts.faces.astype(np.uint32))
-    pack = xatlas.PackOptions()
-    pack.padding, pack.bilinear = padding, True
-    if fill:
-        pack.resolution = limit
-    else:
-        pack.texels_per_unit = 1 / texel
-    atlas.generate(xatlas.ChartOptions(), pack)
-    origin, faces, uvs = atlas[0]
-    return origin.astype(np.int64), faces.astype(np.int64), uvs, (atlas.height, atlas.width)
 
 
 def tangent_space(mesh: Mesh, places: np.ndarray) -> np.ndarray:

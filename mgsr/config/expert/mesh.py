@@ -49,6 +49,8 @@ class UnwrapOptions(Options):
     min_chart: Positive = 4.0  # texels along a side of the smallest chart
     max_side: Count = 8192  # texels along a side of the atlas; larger pictures are too large for many viewers
     filled: Annotated[float, Range(0, 1, open=True)] = 0.6  # usual share of an atlas that charts fill
+    flat: Positive = 1e-6  # area of a face in its chart, in squared texels and in squared lengths of its longest edge,
+    # up to which it counts as flat; xatlas leaves out faces of less than 1.2e-7 squared texels
     charts: ChartOptions = field(default_factory=ChartOptions)
 
 
@@ -56,6 +58,7 @@ class UnwrapOptions(Options):
 class TextureOptions(Options):
     """The textured model: what is baked from the full surface into its pictures."""
 
+    texel: Positive = 1.0  # pixels of the photographs; size of a texel of the finest level, on the surface
     edge: Positive = 2.0  # pixels; edge length of the mesh on which occlusion and shading are computed
     max_faces: Count = 50_000  # most faces of the mesh with that edge length
     same_side: Share = 0.2  # cosine between the normals of two surfaces below which they are different sides of a sheet

@@ -107,7 +107,8 @@ class OutputConfig:
     # maps as WebP. It needs the package DracoPy.
     # The textured model is decimated to this many faces, because its maps hold the detail. none: all faces.
     faces: int | None = 100_000
-    # The side of the textured model's maps, in texels. none: a texel is as large as a pixel of the photographs.
+    # The side of the textured model's maps, in texels. none: it depends on the photographs' pixels
+    # (expert.mesh.texture.texel).
     texture: int | None = None
     # Coarser levels of detail of the textured model: model_lod1.glb has a quarter of its faces and half of its texels
     # along a side, model_lod2.glb a quarter of those of model_lod1.glb, and so on.

@@ -81,8 +81,11 @@ def shown_points(
 
     They face the view at a cosine above `grazing`, and lie within `tolerance` pixel footprints of its depth.
     """
-    index, pixels, depths = project(view.camera, points)
-    to_camera = view.camera.center.astype(np.float32) - points[index].astype(np.float32)
+    center = view.camera.center.astype(np.float32)
+    facing = np.flatnonzero(normals @ center > dots(points, normals))
+    inside, pixels, depths = project(view.camera, points[facing])
+    index = facing[inside]
+    to_camera = center - points[index].astype(np.float32)
     cosines = dots(to_camera, normals[index]) / lengths(to_camera)
     limit = depth_limits(tolerance, depths, cosines, view.camera)
     shown = (cosines > grazing) & (np.abs(nearest(view.depth, pixels) - depths) <= limit)

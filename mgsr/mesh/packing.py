@@ -114,7 +114,7 @@ class _Motion:
 
     @classmethod
     def of_islands(cls, places: np.ndarray, packed: np.ndarray, islands: np.ndarray, count: int) -> _Motion:
-        """Find the motion of `count` islands from the places [P,2] of their vertices before and after packing."""
+        """Find the motion of `count` islands [P] from their vertices before packing, places [P,2], and packed [P,2]."""
 
         def summed(values: np.ndarray) -> np.ndarray:
             return np.stack([np.bincount(islands, each, count) for each in values.T], axis=1)

@@ -38,10 +38,10 @@ def texture_levels(
     of the texels of the level before (`TextureOptions`).
 
     full, views: in one frame. pixel: the size of the photographs' pixels on the surface, in its unit. A texel of the
-    finest level has that size unless `output.texture` gives the number of texels. A metal's base colour is its tint;
-    others blend the views' colours, as in `blended_colors`. shaded: whether these colours contain the shading of static
-    light. It is divided out, and the light's brightness with it where the material tells it. options: all of the
-    mesh's.
+    finest level is `options.texture.texel` times as large unless `output.texture` gives the number of texels. A metal's
+    base colour is its tint; others blend the views' colours, as in `blended_colors`. shaded: whether these colours
+    contain the shading of static light. It is divided out, and the light's brightness with it where the material tells
+    it. options: all of the mesh's.
     """
     own = options.texture
     lit = _lit_surface(full, pixel, shaded, material, own)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
+from torch.nn.functional import grid_sample
 
 from mgsr.data.camera import Camera
 from mgsr.errors import MeshError
@@ -59,14 +61,14 @@ def bilinear_cells(pixels: np.ndarray, size: tuple[int, ...]) -> tuple[np.ndarra
 
 
 def sample(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Interpolate image [H,W,...] bilinearly at pixels [P,2] (centres at +0.5), clamped at the border."""
-    left, top, fx, fy = bilinear_cells(pixels, image.shape)
-    shape = (-1,) + (1,) * (image.ndim - 2)
-    fx, fy = fx.reshape(shape), fy.reshape(shape)
-    above = image[top, left] * (1 - fx) + image[top, left + 1] * fx
-    below = image[top + 1, left] * (1 - fx) + image[top + 1, left + 1] * fx
-    values: np.ndarray = above * (1 - fy) + below * fy
-    return values
+    """Interpolate an image [H,W,C] bilinearly at pixels [P,2] (centres at +0.5), clamped at the border, as float32."""
+    height, width = image.shape[:2]
+    places = pixels.astype(np.float32) * (2 / np.array([width, height], np.float32)) - 1
+    channels = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1), np.float32))
+    values = grid_sample(
+        channels[None], torch.from_numpy(places)[None, None], padding_mode="border", align_corners=False
+    )
+    return values[0, :, 0].T.numpy()
 
 
 def project(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

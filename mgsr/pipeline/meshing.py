@@ -53,8 +53,7 @@ def make_mesh(
 def make_textured(model: TrainedModel, scene: Scene, config: Config, mesh: ReconstructedMesh) -> list[TexturedMesh]:
     """Make the textured model of the surface at each level of detail, the finest first, in the user's frame.
 
-    Its colours come from renders of the training views, as large as the photographs. A texel of the finest level is as
-    large as a pixel of the photographs.
+    Its colours come from renders of the training views, as large as the photographs.
     """
     frame = scene.user_from_scene
     full = mesh.in_frame(frame.to_scene(mesh.vertices))

@@ -188,6 +188,8 @@ def _resized(valid: np.ndarray | None, camera: Camera) -> np.ndarray | None:
 
 def _surface_view(model: TrainedModel, camera: Camera, config: Config, mask: np.ndarray | None) -> SurfaceView:
     """Render what a camera shows of the surface, with the photograph's mask [H,W] or None."""
+    if config.mesh.color is MeshColor.TRANSMITTED:
+        model = replace(model, environment_map=None)  # its reflection would take time and not be seen
     flat, full = render_both(model, camera, depth=model.surfels is None)
     depth, normal = _surface(flat, full, camera, config.train.paper.surface_depth)
     shape = flat if flat is not None else full

@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 from mgsr.config import MeshConfig, OutputConfig
+from mgsr.config.expert import MeshOptions, TextureOptions
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.mesh.texture import texture_levels
@@ -202,13 +203,15 @@ def test_inside_a_bowl_half_of_the_sky_is_hidden() -> None:
 def test_a_texel_is_as_large_as_asked() -> None:
     shape = ball()
     views = views_of(shape, cameras_around(4))
-    textured = texture_levels(surface(shape), views, 0.02, OutputConfig(), MeshConfig(), shaded=False)[0]
+    options = MeshOptions(texture=TextureOptions(texel=0.5))
+    levels = texture_levels(surface(shape), views, 0.02, OutputConfig(), MeshConfig(), shaded=False, options=options)
+    textured = levels[0]
     flat = textured.uvs * textured.size[::-1]
     corners, places = flat[textured.faces], textured.vertices[textured.faces]
     stretch = np.linalg.norm(np.diff(places[:, :2], axis=1), axis=-1) / np.linalg.norm(
         np.diff(corners[:, :2], axis=1), axis=-1
     )
-    assert 0.019 < np.percentile(stretch, 10) < 0.021, "along the charts"
+    assert 0.0095 < np.percentile(stretch, 10) < 0.0105, "along the charts"
 
 
 def test_levels_of_detail_have_a_quarter_of_the_faces_and_half_of_the_texels() -> None:

@@ -35,7 +35,7 @@ class ColorOptions(Options):
     grazing: Share = 0.05  # cosine between normal and view direction at which a view stops showing a point
     occlusion_edge: Positive = 10.0  # footprints by which the depths around a pixel of a texture may differ; more is an
     # occlusion edge
-    back_projections: WholeNumber = 3  # rounds of iterative back-projection, which sharpens textures
+    back_projections: WholeNumber = 2  # rounds of iterative back-projection, which sharpens textures
     prior_weight: Positive = 1.0  # weight of no change in back-projection, because few views tell little; the weight of
     # a head-on view is 1
     min_texels: NotNegative = 0.5  # mean number of texels in a pixel of a view; with fewer, the pixel sharpens none
@@ -58,7 +58,7 @@ class UnwrapOptions(Options):
 class TextureOptions(Options):
     """The textured model: what is baked from the full surface into its pictures."""
 
-    texel: Positive = 1.0  # pixels of the photographs; size of a texel of the finest level, on the surface
+    texel: Positive = 0.67  # pixels of the photographs; size of a texel of the finest level
     edge: Positive = 2.0  # pixels; edge length of the mesh on which occlusion and shading are computed
     max_faces: Count = 50_000  # most faces of the mesh with that edge length
     same_side: Share = 0.2  # cosine between the normals of two surfaces below which they are different sides of a sheet

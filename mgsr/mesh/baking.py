@@ -104,8 +104,10 @@ def bake_colors(
         colors[~seen] = interpolated(full.colors, full.faces[face], shares)
         painted[part] = colors
 
+    places, normals = texels.points.astype(np.float32), texels.normals.astype(np.float32)
+
     def shown_by(view: SurfaceView) -> ShownPoints:
-        return shown_points(texels.points, texels.normals, view, config.min_alpha, tolerance, options.grazing)
+        return shown_points(places, normals, view, config.min_alpha, tolerance, options.grazing)
 
     return sharpened(painted, visible, shown_by, threads, options)
 

@@ -51,6 +51,8 @@ def blended_colors(
     [P] bool. A colour is a weighted mean: head-on views count more, and colours far from the mean count less.
     """
 
+    points, normals = (np.asarray(each, np.float32) for each in (points, normals))
+
     def read(view: SurfaceView) -> _ViewColors:
         shown = shown_points(points, normals, view, min_alpha, tolerance, options.grazing)
         return _ViewColors(shown.index, sample(view.color, shown.pixels), shown.weights)
@@ -77,7 +79,7 @@ class ShownPoints:
 def shown_points(
     points: np.ndarray, normals: np.ndarray, view: SurfaceView, min_alpha: float, tolerance: float, grazing: float
 ) -> ShownPoints:
-    """Find the points [P,3] with unit normals [P,3] that a view shows.
+    """Find the points [P,3] with unit normals [P,3], both float32, that a view shows.
 
     They face the view at a cosine above `grazing`, and lie within `tolerance` pixel footprints of its depth.
     """
@@ -85,7 +87,7 @@ def shown_points(
     facing = np.flatnonzero(normals @ center > dots(points, normals))
     inside, pixels, depths = project(view.camera, points[facing])
     index = facing[inside]
-    to_camera = center - points[index].astype(np.float32)
+    to_camera = center - points[index]
     cosines = dots(to_camera, normals[index]) / lengths(to_camera)
     limit = depth_limits(tolerance, depths, cosines, view.camera)
     shown = (cosines > grazing) & (np.abs(nearest(view.depth, pixels) - depths) <= limit)

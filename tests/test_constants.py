@@ -258,6 +258,7 @@ REMAINING = {
     "mesh/baking._ROWS_AT_ONCE": BATCH,
     "mesh/baking._TEXELS_AT_ONCE": BATCH,
     "mesh/cameras.OPPOSITE": MATHEMATICS,
+    "mesh/colors._POINTS_AT_ONCE": BATCH,
     "mesh/pixels.STEEPEST": TERMS,
     "mesh/pixels._ALL": MATHEMATICS,
     "mesh/pixels._HEAD": MATHEMATICS,

@@ -13,7 +13,7 @@ from mgsr.config.expert import ColorOptions, TextureOptions
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster, RayHits
 from mgsr.geometry.triangles import unit_vectors
-from mgsr.mesh.colors import ShownPoints, blended_colors, shown_points
+from mgsr.mesh.colors import PointsInViews, blended_colors
 from mgsr.mesh.sharpening import sharpened
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.mesh.unwrap import UnwrappedMesh
@@ -94,22 +94,11 @@ def bake_colors(
     """
     visible = [_with_depth_of(full.caster, view, options.occlusion_edge) for view in views]
     tolerance = config.consistency or options.tolerance
-    painted = np.zeros((len(texels.index), 3), np.float32)
-    for part in texels.parts():
-        points = texels.points[part]
-        colors, seen = blended_colors(
-            points, texels.normals[part], visible, config.min_alpha, tolerance, threads, options
-        )
-        face, shares = full.caster.nearest(points[~seen])
-        colors[~seen] = interpolated(full.colors, full.faces[face], shares)
-        painted[part] = colors
-
-    places, normals = texels.points.astype(np.float32), texels.normals.astype(np.float32)
-
-    def shown_by(view: SurfaceView) -> ShownPoints:
-        return shown_points(places, normals, view, config.min_alpha, tolerance, options.grazing)
-
-    return sharpened(painted, visible, shown_by, threads, options)
+    points = PointsInViews(texels.points, texels.normals, visible, config.min_alpha, tolerance, options.grazing)
+    colors, seen = blended_colors(points, threads, options)
+    face, shares = full.caster.nearest(texels.points[~seen])
+    colors[~seen] = interpolated(full.colors, full.faces[face], shares)
+    return sharpened(colors, points, threads, options)
 
 
 def bake_normals(texels: Texels, unwrapped: UnwrappedMesh, min_z: float = TextureOptions().min_z) -> np.ndarray:

@@ -15,6 +15,8 @@ from mgsr.mesh.pixels import depth_limits
 from mgsr.mesh.views import SurfaceView, nearest, project, sample
 from mgsr.parallel import map_ahead
 
+_POINTS_AT_ONCE = 1 << 19  # a multiple of 8; bounds the memory for the samples of all views
+
 
 def vertex_colors(
     mesh: Mesh,
@@ -29,39 +31,11 @@ def vertex_colors(
     A vertex that no view shows takes the colour of the nearest visible vertex.
     """
     vertices = mesh.vertices
-    colors, seen = blended_colors(vertices, mesh.normals, views, min_alpha, tolerance, threads, options)
+    points = PointsInViews(vertices, mesh.normals, views, min_alpha, tolerance, options.grazing)
+    colors, seen = blended_colors(points, threads, options)
     if seen.any() and not seen.all():
         colors[~seen] = colors[seen][cKDTree(vertices[seen]).query(vertices[~seen])[1]]
     return colors
-
-
-def blended_colors(
-    points: np.ndarray,
-    normals: np.ndarray,
-    views: Sequence[SurfaceView],
-    min_alpha: float,
-    tolerance: float,
-    threads: int | None = None,
-    options: ColorOptions = ColorOptions(),
-) -> tuple[np.ndarray, np.ndarray]:
-    """Blend the colours of surface points from the views that show them.
-
-    points [P,3]: in the scene's frame. normals [P,3]: unit. A view shows a point that faces it and lies within
-    `tolerance` pixel footprints of its depth. Returns colours [P,3] float32 sRGB 0..1, and which points any view shows,
-    [P] bool. A colour is a weighted mean: head-on views count more, and colours far from the mean count less.
-    """
-
-    points, normals = (np.asarray(each, np.float32) for each in (points, normals))
-
-    def read(view: SurfaceView) -> _ViewColors:
-        shown = shown_points(points, normals, view, min_alpha, tolerance, options.grazing)
-        return _ViewColors(shown.index, sample(view.color, shown.pixels), shown.weights)
-
-    samples = list(map_ahead(read, views, threads))
-    mean, total = _blend(samples, len(points), None, options)
-    for _ in range(options.rounds):
-        mean, _ = _blend(samples, len(points), mean, options)
-    return np.clip(mean, 0, 1), total > 0
 
 
 @dataclass(frozen=True)
@@ -76,23 +50,89 @@ class ShownPoints:
     weights: np.ndarray
 
 
-def shown_points(
-    points: np.ndarray, normals: np.ndarray, view: SurfaceView, min_alpha: float, tolerance: float, grazing: float
-) -> ShownPoints:
-    """Find the points [P,3] with unit normals [P,3], both float32, that a view shows.
+class PointsInViews:
+    """Points of a surface, and which of them each view shows.
 
-    They face the view at a cosine above `grazing`, and lie within `tolerance` pixel footprints of its depth.
+    A view shows a point that faces it, and lies near its depth. This is found once, and remembered with one bit for
+    each point and view.
     """
-    center = view.camera.center.astype(np.float32)
-    facing = np.flatnonzero(normals @ center > dots(points, normals))
-    inside, pixels, depths = project(view.camera, points[facing])
-    index = facing[inside]
-    to_camera = center - points[index]
-    cosines = dots(to_camera, normals[index]) / lengths(to_camera)
-    limit = depth_limits(tolerance, depths, cosines, view.camera)
-    shown = (cosines > grazing) & (np.abs(nearest(view.depth, pixels) - depths) <= limit)
-    shown &= nearest(view.usable(min_alpha), pixels)
-    return ShownPoints(index[shown], pixels[shown], cosines[shown] ** 2)
+
+    def __init__(
+        self,
+        points: np.ndarray,
+        normals: np.ndarray,
+        views: Sequence[SurfaceView],
+        min_alpha: float,
+        tolerance: float,
+        grazing: float,
+    ) -> None:
+        """Take points [P,3] and unit normals [P,3] in the frame of the views.
+
+        tolerance: how far a point may lie from a view's depth, in pixel footprints. grazing: the least cosine between
+        its normal and the direction to the camera.
+        """
+        self.views = views
+        self._points, self._normals = (np.asarray(each, np.float32) for each in (points, normals))
+        self._min_alpha, self._tolerance, self._grazing = min_alpha, tolerance, grazing
+        self._known: dict[int, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        return len(self._points)
+
+    def shown_by(self, view: int, first: int = 0, end: int | None = None) -> ShownPoints:
+        """Find the points that the view with this number shows, among those from `first`, a multiple of 8, to `end`."""
+        bits = self._known.get(view)
+        if bits is None:
+            bits = self._known[view] = np.packbits(self._shown(self.views[view]))
+        end = len(self) if end is None else end
+        among = first + np.flatnonzero(np.unpackbits(bits[first // 8 : (end + 7) // 8], count=end - first))
+        camera = self.views[view].camera
+        inside, pixels, _ = project(camera, self._points[among])
+        index = among[inside]
+        return ShownPoints(index, pixels, self._cosines(index, camera.center) ** 2)
+
+    def _shown(self, view: SurfaceView) -> np.ndarray:
+        """Return which points [P] bool a view shows."""
+        center = view.camera.center.astype(np.float32)
+        facing = np.flatnonzero(self._normals @ center > dots(self._points, self._normals))
+        inside, pixels, depths = project(view.camera, self._points[facing])
+        index = facing[inside]
+        cosines = self._cosines(index, center)
+        limit = depth_limits(self._tolerance, depths, cosines, view.camera)
+        near = (cosines > self._grazing) & (np.abs(nearest(view.depth, pixels) - depths) <= limit)
+        near &= nearest(view.usable(self._min_alpha), pixels)
+        shown = np.zeros(len(self), bool)
+        shown[index[near]] = True
+        return shown
+
+    def _cosines(self, index: np.ndarray, center: np.ndarray) -> np.ndarray:
+        """Return the cosines [Q] between the normals of points and the directions to a camera's centre [3]."""
+        to_camera = center.astype(np.float32) - self._points[index]
+        return np.asarray(dots(to_camera, self._normals[index]) / lengths(to_camera))
+
+
+def blended_colors(
+    points: PointsInViews, threads: int | None = None, options: ColorOptions = ColorOptions()
+) -> tuple[np.ndarray, np.ndarray]:
+    """Blend the colours of P surface points from the views that show them.
+
+    Returns colours [P,3] float32 sRGB 0..1, and which points any view shows, [P] bool. A colour is a weighted mean:
+    head-on views count more, and colours far from the mean count less.
+    """
+    colors, seen = np.zeros((len(points), 3), np.float32), np.zeros(len(points), bool)
+    for first in range(0, len(points), _POINTS_AT_ONCE):
+        end = min(first + _POINTS_AT_ONCE, len(points))
+
+        def read(view: int, first: int = first, end: int = end) -> _ViewColors:
+            shown = points.shown_by(view, first, end)
+            return _ViewColors(shown.index - first, sample(points.views[view].color, shown.pixels), shown.weights)
+
+        samples = list(map_ahead(read, range(len(points.views)), threads))
+        mean, total = _blend(samples, end - first, None, options)
+        for _ in range(options.rounds):
+            mean, _ = _blend(samples, end - first, mean, options)
+        colors[first:end], seen[first:end] = np.clip(mean, 0, 1), total > 0
+    return colors, seen
 
 
 def robust_weights(weights: np.ndarray, off: np.ndarray, deviation: float) -> np.ndarray:

@@ -7,38 +7,31 @@ and that render to the texels. Source: Irani and Peleg 1991.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 import cv2
 import numpy as np
 
 from mgsr.config.expert import ColorOptions
-from mgsr.mesh.colors import ShownPoints, robust_weights
-from mgsr.mesh.views import SurfaceView, bilinear_cells, nearest, sample
+from mgsr.mesh.colors import PointsInViews, robust_weights
+from mgsr.mesh.views import bilinear_cells, nearest, sample
 from mgsr.parallel import map_ahead
 
 AROUND = (3, 3)  # pixels over which texels are counted
 
 
 def sharpened(
-    colors: np.ndarray,
-    views: Sequence[SurfaceView],
-    shown_by: Callable[[SurfaceView], ShownPoints],
-    threads: int | None = None,
-    options: ColorOptions = ColorOptions(),
+    colors: np.ndarray, points: PointsInViews, threads: int | None = None, options: ColorOptions = ColorOptions()
 ) -> np.ndarray:
     """Return the colours [P,3] float32 sRGB 0..1 whose renders come nearest to the views.
 
-    colors [P,3]: the blended colours of surface points, one for each texel. shown_by: finds the points that a view
-    shows. It is called in each round, because keeping the points of all views would fill the memory. A pixel counts if
-    it and its neighbours hold at least `options.min_texels` texels each, on average. Textures that are coarser than the
-    views therefore stay as they are.
+    colors [P,3]: the blended colours of surface points, one for each texel. points: these points in the views. A pixel
+    counts if it and its neighbours hold at least `options.min_texels` texels each, on average. Textures that are
+    coarser than the views therefore stay as they are.
     """
     for _ in range(options.back_projections):
 
-        def difference(view: SurfaceView, current: np.ndarray = colors) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        def difference(number: int, current: np.ndarray = colors) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             """Return the indices [Q] of the points that a view shows, their differences [Q,3] and weights [Q]."""
-            shown = shown_by(view)
+            view, shown = points.views[number], points.shown_by(number)
             own = current[shown.index]
             rendered, texels = _splatted(own, shown.pixels, view.depth.shape)
             known = nearest(cv2.blur(texels, AROUND), shown.pixels) >= options.min_texels
@@ -47,7 +40,7 @@ def sharpened(
             return shown.index, sample(np.where(texels[..., None] > 0, view.color - rendered, 0), shown.pixels), weights
 
         sums, total = np.zeros_like(colors), np.zeros(len(colors), np.float32)
-        for index, differences, weights in map_ahead(difference, views, threads):
+        for index, differences, weights in map_ahead(difference, range(len(points.views)), threads):
             sums[index] += differences * weights[:, None]
             total[index] += weights
         colors = np.clip(colors + sums / (total + options.prior_weight)[:, None], 0, 1)

@@ -14,7 +14,7 @@ from mgsr.config.expert import ColorOptions, MeshOptions, MeshStepOptions
 from mgsr.config.expert import mesh_steps as options_folder
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh import steps as steps_folder
-from mgsr.mesh.colors import blended_colors
+from mgsr.mesh.colors import vertex_colors
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.poisson import cell_size
 from mgsr.mesh.steps import mesh_steps
@@ -46,9 +46,8 @@ def test_colors_far_from_the_mean_count_less(views: list[SurfaceView], mesh: Mes
     green = replace(views[0], color=np.broadcast_to(np.array([0, 1, 0], np.float32), views[0].color.shape))
 
     def off(options: ColorOptions) -> float:
-        colors, _ = blended_colors(mesh.vertices, mesh.normals, [green, *views[1:]], 0.5, 3.0, options=options)
-        usual, _ = blended_colors(mesh.vertices, mesh.normals, views, 0.5, 3.0)
-        return float(np.abs(colors - usual).mean())
+        colors = vertex_colors(mesh, [green, *views[1:]], 0.5, 3.0, options=options)
+        return float(np.abs(colors - vertex_colors(mesh, views, 0.5, 3.0)).mean())
 
     others = ColorOptions(deviation=10.0), ColorOptions(rounds=0)
     assert off(ColorOptions()) < 0.9 * min(off(each) for each in others)

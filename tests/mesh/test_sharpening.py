@@ -10,7 +10,7 @@ import pytest
 from mgsr.config.expert import ColorOptions
 from mgsr.data.camera import Camera
 from mgsr.geometry.raycast import pixel_rays
-from mgsr.mesh.colors import ShownPoints, blended_colors, shown_points
+from mgsr.mesh.colors import PointsInViews, blended_colors
 from mgsr.mesh.sharpening import _splatted, sharpened
 from mgsr.mesh.views import SurfaceView
 from tests.mesh.shapes import as_mesh, ball, cameras_around
@@ -54,20 +54,19 @@ def points_on_ball(count: int) -> tuple[np.ndarray, np.ndarray]:
     return RADIUS * normals, normals
 
 
-def shown_by(points: np.ndarray, normals: np.ndarray) -> Callable[[SurfaceView], ShownPoints]:
-    """Return the function that finds which of the points a view shows."""
-    return lambda view: shown_points(points, normals, view, 0.5, TOLERANCE, ColorOptions().grazing)
+def seen_by(views: Sequence[SurfaceView], count: int) -> PointsInViews:
+    """Return points spread evenly over the ball, in the views."""
+    return PointsInViews(*points_on_ball(count), views, 0.5, TOLERANCE, ColorOptions().grazing)
 
 
 def colors_of(
     count: int, color: Callable[[np.ndarray], np.ndarray], options: ColorOptions = ColorOptions()
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the places, the blended and the sharpened colours of `count` texels, each [count,3]."""
-    points, normals = points_on_ball(count)
-    views = photographed(cameras_around(24, side=SIDE), color)
-    blended, seen = blended_colors(points, normals, views, 0.5, TOLERANCE)
+    points = seen_by(photographed(cameras_around(24, side=SIDE), color), count)
+    blended, seen = blended_colors(points)
     assert seen.all()
-    return points, blended, sharpened(blended, views, shown_by(points, normals), options=options)
+    return points_on_ball(count)[0], blended, sharpened(blended, points, options=options)
 
 
 def test_stripes_regain_their_contrast() -> None:
@@ -97,10 +96,9 @@ def test_textures_coarser_than_the_views_stay() -> None:
 def test_few_views_sharpen_less() -> None:
     def change(views: int) -> float:
         """Return the mean change of the texels that a number of views show."""
-        points, normals = points_on_ball(8000)
-        seen_by = photographed(cameras_around(24, side=SIDE)[12 : 12 + views], stripes)
-        blended, seen = blended_colors(points, normals, seen_by, 0.5, TOLERANCE)
-        sharp = sharpened(blended, seen_by, shown_by(points, normals))
+        points = seen_by(photographed(cameras_around(24, side=SIDE)[12 : 12 + views], stripes), 8000)
+        blended, seen = blended_colors(points)
+        sharp = sharpened(blended, points)
         np.testing.assert_array_equal(sharp[~seen], blended[~seen])
         return float(np.abs(sharp - blended)[seen].mean())
 

@@ -83,11 +83,12 @@ def _with_islands(
         return np.arange(count), faces, packed
     _, nearest = KDTree(places[known]).query(places[~known])
     islands[~known] = islands[known][nearest]
+    numbers, islands = np.unique(islands, return_inverse=True)
     # Flat faces move with the island of their first vertex; solid faces have only one.
     keys, new_faces = np.unique(islands[faces[:, :1]] * count + faces, return_inverse=True)
     island, origin = np.divmod(keys, count)
     stays = known[origin] & (islands[origin] == island)
-    motion = _Motion.of_islands(places[known], packed[known], islands[known], count)
+    motion = _Motion.of_islands(places[known], packed[known], islands[known], len(numbers))
     moved = motion.moved(places[origin], island)
     return origin, new_faces.reshape(-1, 3), np.where(stays[:, None], packed[origin], moved)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -19,7 +19,7 @@ from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.mesh.unwrap import UnwrappedMesh
 from mgsr.mesh.views import SurfaceView
 
-# Texels in a batch, to bound the memory for all views' samples.
+# Texels and rows of texels in a batch, to bound the memory.
 _TEXELS_AT_ONCE = 1 << 19
 _ROWS_AT_ONCE = 256
 
@@ -42,11 +42,6 @@ class Texels:
     shares: np.ndarray
     points: np.ndarray
     normals: np.ndarray
-
-    def parts(self) -> Iterator[slice]:
-        """Yield slices of the texels, to bound memory."""
-        for start in range(0, len(self.index), _TEXELS_AT_ONCE):
-            yield slice(start, start + _TEXELS_AT_ONCE)
 
     def picture(self, values: np.ndarray) -> np.ndarray:
         """Return the picture [H,W,...] of values [T,...]; texels outside the charts take the nearest texel's value."""
@@ -111,7 +106,8 @@ def bake_normals(texels: Texels, unwrapped: UnwrappedMesh, min_z: float = Textur
     """
     baked = np.empty((len(texels.index), 3), np.float32)
     axes = np.stack([unwrapped.tangents[:, :3], unwrapped.bitangents(), unwrapped.normals], axis=2)
-    for part in texels.parts():
+    for start in range(0, len(texels.index), _TEXELS_AT_ONCE):
+        part = slice(start, start + _TEXELS_AT_ONCE)
         frame = np.einsum("pkij,pk->pij", axes[unwrapped.faces[texels.face[part]]], texels.shares[part])
         turned = np.linalg.solve(frame + 1e-9 * np.eye(3), texels.normals[part][..., None])[..., 0]
         turned[turned[:, 2] < min_z, 2] = min_z

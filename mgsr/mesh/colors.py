@@ -15,7 +15,8 @@ from mgsr.mesh.pixels import depth_limits
 from mgsr.mesh.views import SurfaceView, nearest, project, sample
 from mgsr.parallel import map_ahead
 
-_POINTS_AT_ONCE = 1 << 19  # a multiple of 8; bounds the memory for the samples of all views
+# Points in a batch, to bound the memory for all views' samples; a multiple of 8.
+_POINTS_AT_ONCE = 1 << 19
 
 
 def vertex_colors(
@@ -80,7 +81,10 @@ class PointsInViews:
         return len(self._points)
 
     def shown_by(self, view: int, first: int = 0, end: int | None = None) -> ShownPoints:
-        """Find the points that the view with this number shows, among those from `first`, a multiple of 8, to `end`."""
+        """Return the points that the view with this number shows, from point `first` up to point `end`.
+
+        first: a multiple of 8.
+        """
         bits = self._known.get(view)
         if bits is None:
             bits = self._known[view] = np.packbits(self._shown(self.views[view]))

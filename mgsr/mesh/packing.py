@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
+from scipy.spatial import cKDTree
 
 from mgsr.config.expert import UnwrapOptions
 from mgsr.geometry.charts import Charts
@@ -81,7 +81,7 @@ def _with_islands(
     known[faces[solid]] = True
     if not known.any():
         return np.arange(count), faces, packed
-    _, nearest = KDTree(places[known]).query(places[~known])
+    _, nearest = cKDTree(places[known]).query(places[~known])
     islands[~known] = islands[known][nearest]
     numbers, islands = np.unique(islands, return_inverse=True)
     # Flat faces move with the island of their first vertex; solid faces have only one.

@@ -115,6 +115,8 @@ def surface_views(model: TrainedModel, scene: Scene, config: Config) -> list[Sur
     """
     cameras = surface_cameras([view.camera for view in scene.train], config.mesh)
     valid = [view.valid_mask for view in scene.train] + [None] * (len(cameras) - len(scene.train))
+    if config.mesh.color is MeshColor.TRANSMITTED:
+        model = replace(model, environment_map=None)  # its reflection would take time and not be seen
     with torch.no_grad():
         return [
             _surface_view(model, camera, config, _resized(shown, camera))
@@ -188,8 +190,6 @@ def _resized(valid: np.ndarray | None, camera: Camera) -> np.ndarray | None:
 
 def _surface_view(model: TrainedModel, camera: Camera, config: Config, mask: np.ndarray | None) -> SurfaceView:
     """Render what a camera shows of the surface, with the photograph's mask [H,W] or None."""
-    if config.mesh.color is MeshColor.TRANSMITTED:
-        model = replace(model, environment_map=None)  # its reflection would take time and not be seen
     flat, full = render_both(model, camera, depth=model.surfels is None)
     depth, normal = _surface(flat, full, camera, config.train.paper.surface_depth)
     shape = flat if flat is not None else full

@@ -244,8 +244,8 @@ class StaticLightOptions(Options):
     # outweigh its own cost
     min_gain: Share = 0.03  # least share of the cost that a light must save against even light
     min_change: NotNegative = 0.01  # least root mean square change of the log brightness that a light must explain
-    darkest: Annotated[float, Range(0, 1, open=True)] = 0.3  # least irradiance, because division by a smaller one would
-    # amplify noise, and errors of the surface, which narrow clefts show too dark
+    darkest: Annotated[float, Range(0, 1, open=True)] = 0.3  # least irradiance; division by a smaller one would
+    # amplify noise, and narrow clefts, which errors of the surface darken, would become white
     evaluations: Count = 15  # most evaluations of the fit
     height: Annotated[int, Range(4)] = 16  # rows of environment.exr if the surface mirrors no environment
     freedom: Annotated[float, Range(0, 1, open=True)] = 0.05  # cost of a change of that environment's radiance,

@@ -10,7 +10,7 @@ environment map is known, so is the mirrored detail. Observations weigh less whe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg, ndimage
@@ -157,6 +157,10 @@ class Details:
     change: np.ndarray
     mirrored: np.ndarray
     weights: np.ndarray
+
+    def after(self, move: np.ndarray) -> Details:
+        """Return the details after small displacements [V] of the vertices along their normals, in pixels."""
+        return replace(self, mixed=self.mixed + self.change * move[:, None].astype(np.float32))
 
 
 def read_details(surface: ObservedMesh, mixes: Sequence[ChannelMix], light: KnownLight, threads: int | None) -> Details:

@@ -17,6 +17,8 @@ from mgsr.data.scene import Scene, Similarity, View
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.pixels import back_project
+from mgsr.shading import photometric_refinement
+from mgsr.shading.details import ObservedMesh
 from mgsr.shading.light_kind import LightKind
 from mgsr.shading.light_models import EnvironmentLight, FlashLight
 from mgsr.shading.photo_set import PhotoSet
@@ -176,6 +178,37 @@ def test_what_is_true_stays() -> None:
     views = photographs(truth, painted)
     found = refine_photometrically(as_mesh(truth), photos_of(truth, views), 6.0)
     assert np.linalg.norm(found.vertices - truth.vertices, axis=1).mean() / PIXEL < 0.1
+
+
+def test_noise_does_not_add_up_over_the_rounds() -> None:
+    truth = dented()
+    photos = photos_of(truth, photographs(truth, painted, noise=15))
+    few, many = (
+        np.linalg.norm(found.vertices - truth.vertices, axis=1).mean() / PIXEL
+        for rounds in (2, 10)
+        for found in [refine_photometrically(as_mesh(truth), photos, 4.0, options=PhotometricOptions(rounds=rounds))]
+    )
+    assert many < 1.2 * few
+
+
+@pytest.mark.parametrize("noise", [0.5, 1.0, 2.0])
+def test_the_agreement_of_the_halves_tells_the_share_of_noise(noise: float) -> None:
+    """Check that the share is the variance of the signal over that of signal and noise, in both halves together."""
+    mesh, generator = as_mesh(ball(RADIUS)), np.random.default_rng(0)
+    surface, count = ObservedMesh(mesh, PIXEL), len(mesh.vertices)
+    signal = generator.normal(size=count)
+    one, other = (signal + noise * generator.normal(size=count) for _ in range(2))
+    options = PhotometricOptions(agreement_reach=12.0)
+    share = photometric_refinement._agreement(one, other, np.ones(count, bool), surface, options)
+    assert share.mean() == pytest.approx(1 / (1 + noise**2 / 2), abs=0.05)
+
+
+def test_unjudged_displacements_stay() -> None:
+    mesh = as_mesh(ball(RADIUS))
+    moves = np.ones(len(mesh.vertices))
+    nowhere, surface = np.zeros(len(moves), bool), ObservedMesh(mesh, PIXEL)
+    share = photometric_refinement._agreement(moves, -moves, nowhere, surface, PhotometricOptions())
+    np.testing.assert_array_equal(share, 1)
 
 
 def test_contours_of_found_masks_pull_less_on_what_is_true() -> None:

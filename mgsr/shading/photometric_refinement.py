@@ -124,7 +124,7 @@ def _step(
     halves = [_half(details, first, options.min_in_half) for first in range(2)]
     known = np.all([half.weights.any(axis=1) for half in halves], axis=0)
     one, other = (moves(half) for half in halves)
-    return np.asarray(_agreement(one, other, known, surface, options) * (one + other) / 2)
+    return np.asarray(_agreement(one, other, known, surface, options) * moves(details))
 
 
 def _half(details: Details, first: int, least: int) -> Details:
@@ -141,7 +141,7 @@ def _half(details: Details, first: int, least: int) -> Details:
 def _agreement(
     one: np.ndarray, other: np.ndarray, known: np.ndarray, surface: ObservedMesh, options: PhotometricOptions
 ) -> np.ndarray:
-    """Return the share [V], 0..1, of the mean of two displacements that is no noise.
+    """Return the share [V], 0..1, of the displacements from all photographs that is no noise.
 
     one, other [V]: the displacements from each half of the photographs. known [V] bool: where both halves observe the
     surface. Elsewhere, the share is that of the known vertices around, or 1 without any. Source: the reliability of two

@@ -10,9 +10,9 @@ as Lucas and Kanade (1981) do, with one displacement for each vertex, along its 
 Each half of the photographs gives displacements of its own. Noise differs between the halves, and displacements shrink
 where they do. So the surface converges, and noise does not add up over the steps.
 
-Reflections move across the surface even under static light. If the environment map is known, an observation weighs less
-where the mirrored detail around it is stronger. The silhouette contours must hold the surface, because parallax alone
-pulls it slightly inwards.
+Reflections move across the surface even under static light, and both halves show them. If the environment map is known,
+an observation weighs less where the mirrored detail around it is stronger, and fewer rounds follow. The silhouette
+contours must hold the surface, because parallax alone pulls it slightly inwards.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def refine_photometrically(
     precision = options.inexact_contour_precision if photos.masks_inexact else options.contour_precision
     plate = _plate(start.vertices, coarse, reach * pixel)
     moved = start
-    for _ in range(options.rounds):
+    for _ in range(options.rounds if light.mirrors is None else min(options.rounds, options.mirrored_rounds)):
         if not go_on():
             break
         surface = ObservedMesh(moved, pixel, options.details)

@@ -11,8 +11,8 @@ Each half of the photographs gives displacements of its own. Noise differs betwe
 where they do. So the surface converges, and noise does not add up over the steps.
 
 Reflections move across the surface even under static light, and both halves show them. If the environment map is known,
-an observation weighs less where the mirrored detail around it is stronger, and fewer rounds follow. The silhouette
-contours must hold the surface, because parallax alone pulls it slightly inwards.
+an observation weighs less where the mirrored detail around it is stronger, and the surface moves in fewer steps. The
+silhouette contours must hold the surface, because parallax alone pulls it slightly inwards.
 """
 
 from __future__ import annotations
@@ -62,7 +62,8 @@ def refine_photometrically(
     precision = options.inexact_contour_precision if photos.masks_inexact else options.contour_precision
     plate = _plate(start.vertices, coarse, reach * pixel)
     moved = start
-    for _ in range(options.rounds if light.mirrors is None else min(options.rounds, options.mirrored_rounds)):
+    rounds, steps = (options.rounds, options.steps) if light.mirrors is None else (options.mirrored_rounds, 1)
+    for _ in range(rounds):
         if not go_on():
             break
         surface = ObservedMesh(moved, pixel, options.details)
@@ -70,7 +71,7 @@ def refine_photometrically(
         gaps, touched = contour_gaps(moved.with_normals(moved.double_normals), photos.contours, options.contours)
         hold = _Hold(gaps / pixel, np.minimum(touched, 1) * (options.precision / precision) ** 2)
         move = np.zeros(len(moved.vertices))
-        for _ in range(options.steps):
+        for _ in range(steps):
             move += _step(details.after(move), surface, hold.after(move), plate, options)
         moved = moved.moved(
             moved.vertices + pixel * np.clip(move, -options.limit, options.limit)[:, None] * moved.double_normals

@@ -180,9 +180,7 @@ class PhotometricOptions(Options):
     coarse_edge: Positive = 3.0  # pixels; edge length of the mesh that carries the smooth displacements
     max_faces: Count = MAX_FACES  # most faces of either mesh
     rounds: WholeNumber = 6  # rounds of sampling the photographs and moving the vertices
-    mirrored_rounds: WholeNumber = (
-        4  # rounds of one step each where the surface mirrors a known environment map, because
-    )
+    mirrored_rounds: WholeNumber = 4  # rounds, of one step each, where the surface mirrors a known environment map:
     # reflections move it inwards, a little in each step
     steps: Count = 3  # steps to a round, all from its samples and their slopes
     agreement_reach: Positive = 6.0  # pixels over which the agreement of the two halves of the photographs is averaged

@@ -22,6 +22,7 @@ SURFACE_PIXELS = 0.9  # area of an object's surface, in pixels of the photograph
 GROWN = 0.15  # Gaussians added by error-driven growth, per pixel of a view
 STEREO = 13.2  # seconds per megapixel that stereo searches, of all photographs together
 FILLED = 0.1  # seconds per view for filling depths in regions without contrast
+ADJUSTED = 0.1  # seconds per view for adjusting the cameras
 STEREO_POINTS = 0.034  # starting points per pixel that stereo searches
 ROUNDS, FLASH_ROUNDS = 3, 10  # rounds of refining the surface, without and with a flash
 MODEL = 2.0  # seconds of unwrapping and baking
@@ -73,7 +74,8 @@ def start_cost(factors: CostFactors, most: int = SceneStereoOptions().max_pixels
     most: the most pixels that the stereo of whole scenes searches.
     """
     search = SEARCHED * factors.views if factors.searched else 0.0
-    everything = STEREO * stereo_pixels(factors, most) / 1e6 + FILLED * min(factors.views, PHOTOGRAPHS)
+    depths = STEREO * stereo_pixels(factors, most) / 1e6 + FILLED * min(factors.views, PHOTOGRAPHS)
+    everything = depths + ADJUSTED * factors.views
     if not factors.masked and not factors.learned:
         return search + everything
     surface = (SHINY_SURFACE if factors.shiny else MATTE_SURFACE) * factors.surface_work

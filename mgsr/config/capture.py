@@ -65,6 +65,7 @@ class DataConfig:
 
     masks: Masks = Masks.AUTO
     exposure: Exposure = Exposure.AUTO
+    adjust_cameras: bool = True  # Without masks, the cameras are moved to where the photographs agree.
     object: Object = Object.AUTO
     # Two opposite corners x0,y0,z0,x1,y1,z1 of a box around the object, in the capture's frame and unit. MGSR finds
     # masks of what lies in the box. none: `object` decides.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
@@ -150,6 +150,8 @@ class Scene:
     mask_error: the median distance, in pixels, of given masks' contours to those of their hull; None until it is
     measured by `with_mask_error`.
     object_place: the object's place according to the capture, None if the capture gives none.
+    camera_shift: the median distance, in pixels, by which the adjustment of the cameras moved the photographs; None if
+    the cameras are those of the capture.
     """
 
     name: str
@@ -170,6 +172,7 @@ class Scene:
     masks_found: bool = False
     mask_error: float | None = None
     object_place: ObjectPlace | None = None
+    camera_shift: float | None = None
 
     @property
     def masked(self) -> bool:
@@ -190,6 +193,14 @@ class Scene:
     def mask_margin(self) -> float:
         """Return by how many pixels a point of the object may lie outside given masks; 0 if they are exact."""
         return (self.mask_error or 0.0) if self.masks_inexact and not self.masks_found else 0.0
+
+    def with_cameras(self, train: Sequence[Camera], test: Sequence[Camera], shift: float) -> Scene:
+        """Return the scene with adjusted cameras of its views. shift: see `camera_shift`."""
+        both = (
+            [replace(view, camera=camera) for view, camera in zip(views, cameras, strict=True)]
+            for views, cameras in ((self.train, train), (self.test, test))
+        )
+        return replace(self, train=next(both), test=next(both), camera_shift=shift)
 
     @cached_property
     def plain_backdrop(self) -> Color | None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsr.budget.budget import TimeBudget
-from mgsr.config import Config, DataConfig, Exposure, object_box
+from mgsr.config import Config, DataConfig, ExpertConfig, Exposure, object_box
 from mgsr.config.expert import DataOptions
 from mgsr.data.camera_search import CameraSearch
 from mgsr.data.exposure import with_exposures
@@ -42,6 +42,7 @@ from mgsr.pipeline.steps import Steps
 from mgsr.pipeline.time_budget import affordable_options, most_points, searches_object
 from mgsr.segmentation.object_masks import NoObject, find_object
 from mgsr.shading.lighting import Lighting, add_irradiance
+from mgsr.start.bundle_adjustment import adjust_cameras
 from mgsr.start.points import StartingPoints
 from mgsr.start.scene_depths import DepthMaps, scene_depths
 from mgsr.start.starting_points import starting_points
@@ -49,7 +50,13 @@ from mgsr.training.background import train_background
 from mgsr.training.exposure import find_exposures
 from mgsr.training.learned_masks import learn_masks
 
-LATER = ("exposure", "object", "object_box", "check")  # settings of DataConfig that take effect after the reading
+LATER = (
+    "exposure",
+    "adjust_cameras",
+    "object",
+    "object_box",
+    "check",
+)  # settings of DataConfig that take effect after the reading
 
 
 def take_scene(
@@ -100,13 +107,14 @@ def _tell_loading(step: Steps, done: int, total: int) -> None:
 
 
 def load_again(path: Path, out: Path, config: Config) -> Scene:
-    """Load the scene of the results in `out` as the run did; cameras that the run found are read from `out`.
+    """Load the scene of the results in `out` as the run did; cameras that it found or adjusted are read from `out`.
 
-    Raises SceneError if the scene can't be used, and if those cameras are missing.
+    Raises SceneError if the scene can't be used, and if cameras that the run found are missing. Raises MgsrError if
+    adjusted cameras do not fit the photographs.
     """
     search = CameraSearch(folder=out / CAMERAS, known_only=True, seed=config.seed)
     scene = load_scene(path, config.data, search=search, options=config.expert.data)
-    return without_flawed(with_mask_error(scene), config)
+    return result_files.with_known_cameras(out, without_flawed(with_mask_error(scene), config))
 
 
 def as_read(scene: Scene, config: Config) -> Config:
@@ -144,7 +152,7 @@ def preprocess(
     budget: TimeBudget | None = None,
     reuse_object: bool = False,
 ) -> tuple[Scene, StartingPoints]:
-    """Preprocess a scene: equalise its exposures, find its object and its light, and choose the starting points.
+    """Preprocess a scene: adjust its cameras, equalise its exposures, find its object, its light and starting points.
 
     Returns the scene and its starting points. The scene's photographs have a common exposure. The scene has masks if
     an object is requested and found, and a flash's irradiance if there is a flash. The findings are written to `out`.
@@ -155,25 +163,24 @@ def preprocess(
     searched = searches_object(scene, config)
     kept = searched and reuse_object and (out / OBJECT).is_file()
     if kept:
-        scene, searched = _with_kept_object(out, scene, step), False
+        scene, searched = _with_kept_object(out, result_files.with_known_cameras(out, scene), step), False
     if searched:
         require_place_for_masks(out)
     masks = _learn_masks(scene, config, step)
 
     expert = affordable_options(config, budget)
-    depths: DepthMaps | None = None
-
-    def points(of: Scene, during: str, text: str) -> StartingPoints:
-        nonlocal depths
-        count, progress = most_points(config, budget), step.share(during, text)
-        masked, background = with_masks(of, masks), config.train.background
-        if not masked.masked and depths is None:  # depths do not depend on the exposures, so one search suffices
-            depths = scene_depths(of.train, config.seed, progress, expert.start.stereo, expert.stereo)
-        return starting_points(masked, count, config.seed, progress, background, expert, depths)
-
-    result_files.clear_findings(out)
+    result_files.clear_findings(out, with_cameras=not kept)
     if not kept:
         clear_object(out)
+    depths: DepthMaps | None = None
+    if not with_masks(scene, masks).masked:
+        scene, depths = _with_depths(scene, config, out, step, expert)
+
+    def points(of: Scene, during: str, text: str) -> StartingPoints:
+        count, progress = most_points(config, budget), step.share(during, text)
+        masked, background = with_masks(of, masks), config.train.background
+        return starting_points(masked, count, config.seed, progress, background, expert, depths)
+
     with step("start", "choosing starting points"):
         start = points(scene, "start", "choosing starting points")
     if config.data.exposure is not Exposure.KEEP:
@@ -189,6 +196,31 @@ def _with_kept_object(out: Path, scene: Scene, step: Steps) -> Scene:
     note = "the object's masks are those that an earlier run found"
     step.progress(Event("object", note, scene=scene))
     return replace(scene, notes=(*scene.notes, note))
+
+
+def _with_depths(scene: Scene, config: Config, out: Path, step: Steps, expert: ExpertConfig) -> tuple[Scene, DepthMaps]:
+    """Find the depth maps of everything in view, which do not depend on the exposures, and adjust the cameras to them.
+
+    Returns the scene, with adjusted cameras if the photographs agree better with them, and the depth maps.
+    """
+    text = "measuring the depths of everything in view"
+    with step("start", text):
+        progress = step.share("start", text)
+        depths = scene_depths(scene.train, config.seed, progress, expert.start.stereo, expert.stereo)
+    if not config.data.adjust_cameras:
+        return scene, depths
+    with step("start", "adjusting the cameras"):
+        adjusted = adjust_cameras(scene.train, scene.test, depths, expert.start.bundle)
+        if adjusted is None:
+            return scene, depths
+        scene = scene.with_cameras(adjusted.train, adjusted.test, adjusted.shift)
+        result_files.write_cameras(out, scene)
+        text = (
+            f"the cameras were adjusted by {adjusted.shift:.2f} pixels in the median, which removes "
+            f"{adjusted.gain:.0%} of the deviation between photographs"
+        )
+        step.progress(Event("start", text))
+        return scene, depths.seen_from(adjusted.train)
 
 
 def _at_one_exposure(

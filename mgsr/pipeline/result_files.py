@@ -14,6 +14,7 @@ import torch
 
 from mgsr.config import Config, OutputConfig, Up
 from mgsr.config.expert import IrradianceOptions
+from mgsr.data.camera import Camera
 from mgsr.data.exposure import with_exposures
 from mgsr.data.scene import Exposures, Scene, Similarity
 from mgsr.data.up_direction import up_direction
@@ -40,6 +41,7 @@ from mgsr.pipeline.atomic_write import atomic_write
 from mgsr.pipeline.object_files import read_background_color
 from mgsr.pipeline.rendering import RenderedView
 from mgsr.pipeline.result_paths import (
+    ADJUSTED_CAMERAS,
     BACKGROUND,
     ENVIRONMENT,
     ENVIRONMENT_MAP,
@@ -83,10 +85,56 @@ def clear_reports(out: Path) -> None:
         (out / name).unlink(missing_ok=True)
 
 
-def clear_findings(out: Path) -> None:
-    """Remove an earlier run's findings on its photographs."""
-    for name in (EXPOSURES, FLASH):
+def clear_findings(out: Path, with_cameras: bool = True) -> None:
+    """Remove an earlier run's findings on its photographs. with_cameras: also the adjusted cameras."""
+    for name in (EXPOSURES, FLASH, *([ADJUSTED_CAMERAS] if with_cameras else [])):
         (out / name).unlink(missing_ok=True)
+
+
+def write_cameras(out: Path, scene: Scene) -> None:
+    """Write adjusted_cameras.json.
+
+    It holds the shift in pixels and, by split and the views' names, world-from-camera matrices [4,4] in the user's
+    frame, with OpenCV axes.
+    """
+    table: dict[str, Any] = {
+        split: {view.name: scene.user_from_scene.camera_to_user(view.camera).world_from_cam.tolist() for view in views}
+        for split, views in (("train", scene.train), ("test", scene.test))
+    }
+    with atomic_write(out / ADJUSTED_CAMERAS) as path:
+        path.write_text(json.dumps({"shift": scene.camera_shift, **table}))
+
+
+def with_known_cameras(out: Path, scene: Scene) -> Scene:
+    """Return the scene with the cameras that the run in `out` adjusted.
+
+    Raises MgsrError for a file that is damaged or belongs to other photographs.
+    """
+    if not (out / ADJUSTED_CAMERAS).is_file():
+        return scene
+    try:
+        table = json.loads((out / ADJUSTED_CAMERAS).read_text())
+        train, test = (
+            [_placed(view.camera, table[split][view.name], scene.user_from_scene) for view in views]
+            for split, views in (("train", scene.train), ("test", scene.test))
+        )
+        return scene.with_cameras(train, test, float(table["shift"]))
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise MgsrError(
+            f"{out / ADJUSTED_CAMERAS}: expected a pose for each photograph of {scene.name}: {in_short(error)}; run "
+            f"`mgsr train SCENE -o {out}` again"
+        ) from error
+
+
+def _placed(camera: Camera, pose: list[list[float]], user_from_scene: Similarity) -> Camera:
+    """Return the camera at a world-from-camera pose [4,4] of the user's frame. Raises ValueError for another shape."""
+    world_from_cam = np.array(pose, np.float64)
+    if world_from_cam.shape != (4, 4) or not np.isfinite(world_from_cam).all():
+        raise ValueError(f"expected 4 x 4 finite numbers, got {pose}")
+    rotation = world_from_cam[:3, :3].T
+    cam_from_world = np.eye(4)
+    cam_from_world[:3, :3], cam_from_world[:3, 3] = rotation, -rotation @ world_from_cam[:3, 3]
+    return user_from_scene.camera_to_scene(replace(camera, cam_from_world=cam_from_world))
 
 
 def write_exposures(out: Path, scene: Scene, exposures: Exposures) -> None:

@@ -20,6 +20,7 @@ BACKGROUND = "splats_background.ply"
 ENVIRONMENT_MAP = "mirrored_light.npz"
 FLASH = "flash.npz"
 EXPOSURES = "exposures.json"
+ADJUSTED_CAMERAS = "adjusted_cameras.json"
 OBJECT = OBJECT_FILE
 MASKS = "masks"
 RENDERS = "renders/test"
@@ -98,6 +99,11 @@ class ResultPaths:
     def flash(self) -> Path:
         """Return the path of flash.npz: the flash and the surface that it lights."""
         return self.folder / FLASH
+
+    @property
+    def adjusted_cameras(self) -> Path:
+        """Return the path of adjusted_cameras.json: the photographs' cameras, if they were adjusted."""
+        return self.folder / ADJUSTED_CAMERAS
 
     @property
     def exposures(self) -> Path:

@@ -122,6 +122,7 @@ def scene_facts(scene: Scene, unit: float = 1.0) -> InputFacts:
         warning=scene.warning,
         masks_found=scene.masks_found or None,
         mask_error=round(scene.mask_margin, 3) if scene.masks_inexact and not scene.masks_found else None,
+        camera_shift=None if scene.camera_shift is None else round(scene.camera_shift, 3),
     )
 
 

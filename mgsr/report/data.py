@@ -93,7 +93,7 @@ class InputFacts:
     in the training images, if it is not 1. backdrop [3]: the colour, sRGB 0..1, of a plain backdrop in photographs
     without masks. exposures: the ratio of the brightest exposure to the darkest. masks_found: True if the masks are
     those of an object that was found in the photographs. mask_error: the `Scene.mask_error`, pixels, of inexact masks
-    that were given.
+    that were given. camera_shift: the `Scene.camera_shift`, pixels, of adjusted cameras.
     """
 
     path: str
@@ -114,6 +114,7 @@ class InputFacts:
     starting_points: StartFacts | None = None
     masks_found: bool | None = None
     mask_error: float | None = None
+    camera_shift: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields that apply, by name, as plain types."""

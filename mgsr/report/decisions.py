@@ -142,6 +142,9 @@ def _about_input(data: ReportData) -> Iterator[Decision]:
     if backdrop is not None and (start is None or start.source not in ("stereo", "ball")):
         why = "Splats need only cover the object, so their opacity shows its silhouettes."
         yield Decision("Silhouettes", "learned for the start and the surface", why)
+    if given.camera_shift is not None:
+        choice = f"adjusted by {given.camera_shift:.2f} pixels in the median"
+        yield Decision("Cameras", choice, "The photographs agree better about the scene's surfaces with these cameras.")
     if given.exposures is not None:
         choice = f"differ by a factor of up to {given.exposures:.2f}"
         why = "All photographs, test views included, are brought to a common exposure. Renders have that exposure."
@@ -233,7 +236,7 @@ def _about_photometric_refinement(data: ReportData) -> Decision:
     given = data.input
     if given is None or (not given.masked and _plain_backdrop(data, given) is None):
         return Decision(what, "not used", "It needs silhouettes, from masks or a plain backdrop, to hold the surface.")
-    if given.masks_found or given.mask_error is not None:
+    if given.mask_error is not None:
         return Decision(what, "not used", "The contours of the masks are too inaccurate to hold the trained surface.")
     return Decision(what, "not used", "The setting photometric_reach or the time budget turns it off.")
 

@@ -30,6 +30,14 @@ class DepthMaps:
     maps: list[DepthMap]
     confidence: list[np.ndarray]
 
+    def seen_from(self, cameras: Sequence[Camera]) -> DepthMaps:
+        """Return the same depths as seen from other poses of the photographs' cameras."""
+        placed = [
+            replace(camera, cam_from_world=other.cam_from_world)
+            for camera, other in zip(self.cameras, cameras, strict=True)
+        ]
+        return replace(self, cameras=placed)
+
     def known(self, view: int, camera: Camera) -> np.ndarray:
         """Return a view's confirmed depths [H,W] float32 at the size of a camera's photograph, 0 where unknown."""
         return self.planes(view, camera)[0]

@@ -52,7 +52,7 @@ def test_a_flash_is_told_with_its_place() -> None:
         ("flash", "given", True, "used", "flash"),
         ("unknown", "none", False, "not used", "needs silhouettes, from masks"),
         ("unknown", "given", False, "not used", "photometric_reach"),
-        ("unknown", "found", False, "not used", "inaccurate"),
+        ("unknown", "found", False, "not used", "photometric_reach"),
         ("unknown", "inexact", False, "not used", "inaccurate"),
     ],
 )

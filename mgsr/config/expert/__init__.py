@@ -80,6 +80,7 @@ from mgsr.config.expert.shading import (
 )
 from mgsr.config.expert.start import (
     BackgroundPointOptions,
+    BundleAdjustmentOptions,
     DepthFillingOptions,
     FirstSurfaceOptions,
     PointExposureOptions,
@@ -110,6 +111,7 @@ __all__ = [
     "BilateralOptions",
     "BrightnessOptions",
     "BudgetOptions",
+    "BundleAdjustmentOptions",
     "CameraSearchOptions",
     "ChartOptions",
     "ColorModelOptions",

@@ -140,6 +140,35 @@ class PointExposureOptions(Options):
 
 
 @dataclass(frozen=True)
+class BundleAdjustmentOptions(Options):
+    """The photometric bundle adjustment of the cameras."""
+
+    cell: Count = 8  # pixels; side of the cells with at most one anchor each
+    anchors: Count = 600  # most anchors in a photograph
+    max_anchors: Count = 60_000  # most anchors in all photographs
+    min_anchors: Count = 1000  # least anchors in all photographs; with fewer, the cameras stay
+    least_slope: NotNegative = 0.01  # log light per pixel; least slope of the detail at an anchor
+    border: NotNegative = 8.0  # pixels; width of the photograph's border without anchors
+    clear: WholeNumber = 2  # pixels around an anchor in which the depth is known and does not jump
+    jump: Positive = 0.05  # relative change of the depth within these pixels that counts as a jump
+    same_depth: Positive = 0.015  # largest relative difference of a view's depth from an anchor that the view sees
+    near_views: Count = 6  # nearest training views whose anchors a view without a depth map sees
+    min_views: Count = 4  # least number of views that see an anchor
+    most_views: Count = 24  # most views to which a photograph's anchors are compared
+    blur: Positive = 0.7  # pixels; standard deviation of the blur of the detail
+    around: Positive = 3.0  # blurs; standard deviation of the wider blur that is subtracted
+    dark: Positive = 0.05  # sRGB 0..1; added to the light before the logarithm
+    rounds: WholeNumber = 8  # Gauss-Newton steps with half of the anchors
+    last_rounds: WholeNumber = 3  # Gauss-Newton steps with all anchors
+    depth_rounds: Count = 3  # steps of the depths alone, before the photographs are compared
+    outlier: Positive = 2.0  # deviations at which an observation counts half
+    depth_deviation: Positive = 0.01  # relative standard deviation of an anchor's depth
+    depth_limit: Positive = 0.01  # largest relative change of an anchor's depth in a step
+    hold: Positive = 0.005  # weight of a camera's given pose, as a share of what the photographs tell of it
+    min_gain: Share = 0.02  # least share of the deviation between photographs that the adjustment must remove
+
+
+@dataclass(frozen=True)
 class StartConfig(Options):
     """The points on which training begins."""
 
@@ -162,6 +191,7 @@ class StartConfig(Options):
     max_detail: Annotated[float, Range(1)] = 8.0  # largest factor by which it grows
     surface: FirstSurfaceOptions = field(default_factory=FirstSurfaceOptions)
     stereo: SceneStereoOptions = field(default_factory=SceneStereoOptions)
+    bundle: BundleAdjustmentOptions = field(default_factory=BundleAdjustmentOptions)
     background: BackgroundPointOptions = field(default_factory=BackgroundPointOptions)
     colors: ViewColorOptions = field(default_factory=ViewColorOptions)
     exposures: PointExposureOptions = field(default_factory=PointExposureOptions)

@@ -20,8 +20,8 @@ FLASH_TURN, ONLY_TURN = 22.0, 13.0
 class PhotometricRefinement(MeshStep):
     """Move the surface to where the photographs agree, after the shape from shading of the same turn.
 
-    It needs masks, because their contours keep the surface in place. The contours of inexact masks are not
-    accurate enough for that.
+    It needs masks, because their contours keep the surface in place. The contours of given masks that contradict each
+    other are not accurate enough for that.
     """
 
     refines = True
@@ -34,11 +34,11 @@ class PhotometricRefinement(MeshStep):
 
     def applies(self, context: StepContext, light: LightEstimate) -> bool:
         photos = context.photos
-        wanted = context.config.photometric_reach is not None and bool(photos.silhouettes) and not photos.masks_inexact
+        wanted = context.config.photometric_reach is not None and bool(photos.silhouettes) and photos.margin == 0
         return light.searches == self.turn and wanted and context.go_on()
 
     def cost(self, factors: CostFactors, config: MeshConfig) -> float:
-        held = (factors.masked and not factors.searched) or factors.learned
+        held = factors.masked or factors.searched or factors.learned
         if config.max_light_residual is None or config.photometric_reach is None or not held:
             return 0.0
         if factors.flash:

@@ -30,6 +30,7 @@ from benchmarks.render_scenes import SHARED
 from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.machine import program_commit
 from mgsr.config import make_config
+from mgsr.pipeline.result_paths import ResultPaths
 from mgsr.pipeline.run import run_scene
 
 PICTURES_PER_SECOND = 2
@@ -142,12 +143,14 @@ def scored(scene: Path, kind: Input, out: Path, given: argparse.Namespace) -> Pl
     truth = true_poses(scene)
     found = report["inspection"]["photographs"]
     true = np.stack([truth[photograph_of(photo["name"], kind, list(truth))] for photo in found])
-    centers = np.array([photo["center"] for photo in found])
+    poses = found_poses(out)
+    centers = np.array([poses.get(photo["name"], (photo["center"], None))[0] for photo in found])
     placing, _, _ = trimesh.registration.procrustes(centers, true[:, :3, 3], reflection=False)
     off = np.linalg.norm(trimesh.transform_points(centers, placing) - true[:, :3, 3], axis=1)
     share = 100 * off / np.linalg.norm(true[:, :3, 3] - middle(scene), axis=1)
     turn = placing[:3, :3] / np.cbrt(np.linalg.det(placing[:3, :3]))
-    cosines = (np.array([photo["direction"] for photo in found]) @ turn.T * -true[:, :3, 2]).sum(axis=1)
+    directions = np.array([poses.get(photo["name"], (None, photo["direction"]))[1] for photo in found])
+    cosines = (directions @ turn.T * -true[:, :3, 2]).sum(axis=1)
     surface = surface_scores(scene, out, placing, given.tools)
     return PlainRow(
         scene=scene.name,
@@ -174,6 +177,16 @@ def true_poses(scene: Path) -> dict[str, np.ndarray]:
     frames = json.loads((scene / "transforms.json").read_text())["frames"]
     poses = {Path(frame["file_path"]).stem: np.array(frame["transform_matrix"]) for frame in frames}
     return dict(sorted(poses.items()))
+
+
+def found_poses(out: Path) -> dict[str, tuple[list[float], list[float]]]:
+    """Return the centres and viewing directions of cameras that a run adjusted, by the photographs' names."""
+    path = ResultPaths(out).adjusted_cameras
+    if not path.is_file():
+        return {}
+    splits = json.loads(path.read_text())
+    poses = {name: np.array(pose) for split in ("train", "test") for name, pose in splits[split].items()}
+    return {name: (pose[:3, 3].tolist(), pose[:3, 2].tolist()) for name, pose in poses.items()}
 
 
 def photograph_of(name: str, kind: Input, names: list[str]) -> str:

@@ -22,7 +22,7 @@ from mgsr.data.masks import with_masks
 from mgsr.data.object_place import ObjectPlace
 from mgsr.data.object_scene import with_object
 from mgsr.data.readers import find_capture, load_capture, load_scene
-from mgsr.data.scene import Scene
+from mgsr.data.scene import Scene, some_of
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import origin_notes
 from mgsr.pipeline import result_files
@@ -220,7 +220,7 @@ def _with_depths(scene: Scene, config: Config, out: Path, step: Steps, expert: E
             f"{adjusted.gain:.0%} of the deviation between photographs"
         )
         step.progress(Event("start", text))
-        return scene, depths.seen_from(adjusted.train)
+        return scene, depths.seen_from(some_of(adjusted.train))
 
 
 def _at_one_exposure(

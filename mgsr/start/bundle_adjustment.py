@@ -23,8 +23,9 @@ from scipy.spatial.transform import Rotation
 
 from mgsr.config.expert import BundleAdjustmentOptions
 from mgsr.data.camera import Camera
+from mgsr.data.loading import reduced_view
 from mgsr.data.robust import robust_deviation
-from mgsr.data.scene import View
+from mgsr.data.scene import View, some_of
 from mgsr.data.valid_mask import filled, valid_inside
 from mgsr.geometry.vectors import dots, lengths
 from mgsr.parallel import map_ahead
@@ -57,15 +58,17 @@ def adjust_cameras(
 ) -> AdjustedCameras | None:
     """Adjust the cameras of a scene until its photographs agree about its surfaces.
 
-    depths: the depth maps of the training views. The cameras keep their mean position, orientation and scale. Returns
-    None if the photographs do not agree better afterwards, or if too few anchors exist.
+    depths: the depth maps of `some_of` the training views. All cameras together keep their position, orientation and
+    scale. Returns None if the photographs do not agree better afterwards, or if too few anchors exist.
     """
     views = [*train, *test]
-    before = [view.camera for view in views]
-    groups = _find_anchors(train, views, depths, options, threads)
+    pixels = sum(view.camera.width * view.camera.height for view in views)
+    scale = min(1.0, (options.max_pixels / pixels) ** 0.5)
+    details = list(map_ahead(lambda view: _detail(reduced_view(view, scale), options), views, threads))
+    before = [view.camera.scaled(scale) for view in views]
+    groups = _find_anchors(before, details, some_of(range(len(train))), depths, options, threads)
     if sum(len(group.places) for group in groups) < options.min_anchors:
         return None
-    details = list(map_ahead(lambda view: _detail(view, options), views, threads))
 
     def adjusted(some: Sequence[_Anchors], cameras: Sequence[Camera], rounds: int) -> list[Camera]:
         found, anchors = list(cameras), list(some)
@@ -85,14 +88,13 @@ def adjust_cameras(
     gain = 1 - deviation(other, half) / deviation(other, before)
     if gain < options.min_gain:
         return None
-    after = _in_frame_of(before, adjusted(groups, half, options.last_rounds))
-    moved = [
-        lengths(new.project(group.places)[0] - old.project(group.places)[0])
+    poses = _in_frame_of(before, adjusted(groups, half, options.last_rounds))
+    after = [replace(view.camera, cam_from_world=pose.cam_from_world) for view, pose in zip(views, poses, strict=True)]
+    shifts = [
+        lengths(after[group.views[0]].project(group.places)[0] - views[group.views[0]].camera.project(group.places)[0])
         for group in groups
-        if len(group.places)
-        for old, new in [(before[group.views[0]], after[group.views[0]])]
     ]
-    return AdjustedCameras(after[: len(train)], after[len(train) :], float(np.median(np.concatenate(moved))), gain)
+    return AdjustedCameras(after[: len(train)], after[len(train) :], float(np.median(np.concatenate(shifts))), gain)
 
 
 @dataclass(frozen=True)
@@ -138,38 +140,40 @@ def _detail(view: View, options: BundleAdjustmentOptions) -> _Detail:
 
 
 def _find_anchors(
-    train: Sequence[View],
-    views: Sequence[View],
+    cameras: Sequence[Camera],
+    details: Sequence[_Detail],
+    mapped: Sequence[int],
     depths: DepthMaps,
     options: BundleAdjustmentOptions,
     threads: int | None,
 ) -> list[_Anchors]:
-    """Choose anchors in the depth map of each training view, and find the views that see them."""
-    each = max(1, min(options.anchors, options.max_anchors // len(train)))
-    known = [_without_edges(depths.known(index, view.camera), options) for index, view in enumerate(train)]
-    directions = np.stack([view.camera.cam_from_world[2, :3] for view in views])
+    """Choose anchors in each depth map, and find the views that see them. mapped: the indices of views with maps."""
+    each = max(1, min(options.anchors, options.max_anchors // len(mapped)))
+    known = {view: _without_edges(depths.known(number, cameras[view]), options) for number, view in enumerate(mapped)}
+    centers = np.array([camera.center for camera in cameras])
+    looking: dict[int, list[int]] = {view: [] for view in mapped}  # views without a depth map that are near
+    for view in set(range(len(cameras))) - set(mapped):
+        away = np.linalg.norm(centers[list(mapped)] - centers[view], axis=1)
+        for near in np.argsort(away, kind="stable")[: options.near_views]:
+            looking[mapped[near]].append(view)
 
-    def chosen(index: int) -> _Anchors:
-        camera, depth = views[index].camera, known[index]
-        detail = _detail(views[index], options)
-        rows, columns = _steepest(detail, depth, each, options)
+    def chosen(source: int) -> _Anchors:
+        camera, depth = cameras[source], known[source]
+        rows, columns = _steepest(details[source], depth, each, options)
         rays = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], axis=1) @ np.linalg.inv(camera.K).T
         along = (rays * depth[rows, columns][:, None]) @ camera.cam_from_world[:3, :3]
         places = camera.center + along
-        nearest = np.argsort(-(directions @ directions[index]))  # as seen from this view, and itself first
-        seen = np.zeros((len(places), len(views)), bool)
-        for other in nearest:
-            there = None if other >= len(train) else known[other]
-            if there is not None or other in nearest[: options.near_views]:
-                seen[:, other] = _sees(views[other].camera, places, there, options)
-        seen[:, index] = True
+        seen = np.zeros((len(places), len(cameras)), bool)
+        for other in (*mapped, *looking[source]):
+            seen[:, other] = other == source or _sees(cameras[other], places, known.get(other), options)
         seen[seen.sum(axis=1) < options.min_views] = False
-        most = np.argsort(-seen.sum(axis=0), kind="stable")[: options.most_views]
-        observers = [index, *(int(other) for other in most if other != index and seen[:, other].any())]
-        good = seen.any(axis=1)
+        count = seen.sum(axis=0)
+        most = sorted(mapped, key=lambda other: (other != source, -count[other]))[: options.most_views]
+        observers = [other for other in (*most, *looking[source]) if count[other] or other == source]
+        good = seen[:, observers].any(axis=1)
         return _Anchors(places[good], along[good], observers, seen[good][:, observers])
 
-    return list(map_ahead(chosen, range(len(train)), threads))
+    return list(map_ahead(chosen, mapped, threads))
 
 
 def _without_edges(depth: np.ndarray, options: BundleAdjustmentOptions) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from mgsr.config.expert import BundleAdjustmentOptions
 from mgsr.data.camera import Camera
 from mgsr.data.scene import View
 from mgsr.geometry.raycast import RayCaster, pixel_rays
+from mgsr.start import bundle_adjustment
 from mgsr.start.bundle_adjustment import AdjustedCameras, adjust_cameras
 from mgsr.start.scene_depths import DepthMaps
 from mgsr.stereo.patch_match import DepthMap
@@ -155,6 +157,22 @@ def test_invalid_pixels_are_not_used(erring: list[View], depths: DepthMaps, true
     assert found is not None
     exact = [view.camera for view in split(true)[0]]
     assert error(found.train, exact) < 0.5 * error([view.camera for view in train], exact)
+
+
+def test_views_without_depth_maps_are_adjusted_too(
+    true: list[View], erring: list[View], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def half(items: Sequence[Any]) -> list[Any]:
+        return list(items[::2])
+
+    monkeypatch.setattr(bundle_adjustment, "some_of", half)
+    (train, test), (right, _) = split(erring), split(true)
+    found = adjust_cameras(train, test, depths_of(half(train), half(right)), OPTIONS)
+    assert found is not None
+    exact = [view.camera for view in right]
+    before = [view.camera for view in train]
+    for some in (slice(0, None, 2), slice(1, None, 2)):
+        assert error(found.train[some], exact[some]) < 0.7 * error(before[some], exact[some])
 
 
 def test_few_anchors_change_nothing(erring: list[View], depths: DepthMaps) -> None:

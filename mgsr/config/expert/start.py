@@ -143,6 +143,7 @@ class PointExposureOptions(Options):
 class BundleAdjustmentOptions(Options):
     """The photometric bundle adjustment of the cameras."""
 
+    max_pixels: Count = 100_000_000  # most pixels of all photographs together; larger photographs are reduced
     cell: Count = 8  # pixels; side of the cells with at most one anchor each
     anchors: Count = 600  # most anchors in a photograph
     max_anchors: Count = 60_000  # most anchors in all photographs
@@ -152,9 +153,9 @@ class BundleAdjustmentOptions(Options):
     clear: WholeNumber = 2  # pixels around an anchor in which the depth is known and does not jump
     jump: Positive = 0.05  # relative change of the depth within these pixels that counts as a jump
     same_depth: Positive = 0.015  # largest relative difference of a view's depth from an anchor that the view sees
-    near_views: Count = 6  # nearest training views whose anchors a view without a depth map sees
+    near_views: Count = 6  # nearest views with a depth map, whose anchors a view without one sees
     min_views: Count = 4  # least number of views that see an anchor
-    most_views: Count = 24  # most views to which a photograph's anchors are compared
+    most_views: Count = 24  # most views with a depth map to which a photograph's anchors are compared
     blur: Positive = 0.7  # pixels; standard deviation of the blur of the detail
     around: Positive = 3.0  # blurs; standard deviation of the wider blur that is subtracted
     dark: Positive = 0.05  # sRGB 0..1; added to the light before the logarithm

@@ -8,7 +8,8 @@ The detail is the logarithm of the light minus its mean around, so exposure does
 couple cameras only through each anchor's mean detail and depth, which the Schur complement eliminates.
 
 The lens and the frame stay as they are. Half of the anchors tell whether the cameras that the other half gives are
-better; if they are not, all cameras stay. Source: photometric bundle adjustment, Delaunoy and Pollefeys 2014; Alismail,
+better; if they are not, all cameras stay. The halves are cells of the scene, because the errors of neighbours are
+alike. Source: photometric bundle adjustment, Delaunoy and Pollefeys 2014; Alismail,
 Browning and Lucey 2016.
 """
 
@@ -31,6 +32,7 @@ from mgsr.geometry.vectors import dots, lengths
 from mgsr.parallel import map_ahead
 from mgsr.shading.observations import lie_within, sample_image
 from mgsr.start.scene_depths import DepthMaps
+from mgsr.start.scene_points import contracted_cells
 
 REWEIGHTINGS = 4  # of the observations in a round
 
@@ -83,7 +85,7 @@ def adjust_cameras(
             _, anchors, left = _round(anchors, cameras, details, options, threads)
         return left
 
-    one, other = ([group.every_second(first) for group in groups] for first in range(2))
+    one, other = ([group.half(which, options.apart) for group in groups] for which in range(2))
     half = adjusted(one, before, options.rounds)
     gain = 1 - deviation(other, half) / deviation(other, before)
     if gain < options.min_gain:
@@ -110,9 +112,10 @@ class _Anchors:
     views: list[int]
     seen: np.ndarray
 
-    def every_second(self, first: int) -> _Anchors:
-        """Return every second anchor, from the `first` on."""
-        return replace(self, places=self.places[first::2], along=self.along[first::2], seen=self.seen[first::2])
+    def half(self, which: int, apart: float) -> _Anchors:
+        """Return the anchors in every second cell of size `apart`, in contracted space; which: 0 or 1."""
+        kept = contracted_cells(self.places, apart).sum(axis=1) % 2 == which
+        return replace(self, places=self.places[kept], along=self.along[kept], seen=self.seen[kept])
 
 
 @dataclass(frozen=True)

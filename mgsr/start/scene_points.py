@@ -42,7 +42,8 @@ def _confirmed_points(photographs: StereoPhotographs, found: DepthMaps, spacing:
     """
     depths = [found.known(view, camera) for view, camera in enumerate(found.cameras)]
     points, weights = _cloud(photographs, depths), np.concatenate([known[known > 0] for known in found.confidence])
-    _, cell, count = np.unique(_cells(points.positions, spacing), axis=0, return_inverse=True, return_counts=True)
+    cells = contracted_cells(points.positions, spacing)
+    _, cell, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     cell = cell.ravel()
 
     def means(values: np.ndarray) -> np.ndarray:
@@ -110,11 +111,11 @@ def _lifted(camera: Camera, depth: np.ndarray) -> np.ndarray:
 
 def _thinned(points: PointCloud, spacing: float) -> PointCloud:
     """Return the first point of each cell of size `spacing` in contracted space (`_contracted`)."""
-    cells = _cells(points.positions, spacing)
+    cells = contracted_cells(points.positions, spacing)
     return points.rows(np.sort(np.unique(cells, axis=0, return_index=True)[1]))
 
 
-def _cells(positions: np.ndarray, spacing: float) -> np.ndarray:
+def contracted_cells(positions: np.ndarray, spacing: float) -> np.ndarray:
     """Return the cells [P,3] int64, of size `spacing` in contracted space, that contain points [P,3]."""
     cells: np.ndarray = np.floor(_contracted(positions) / spacing).astype(np.int64)
     return cells

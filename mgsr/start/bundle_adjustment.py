@@ -152,7 +152,8 @@ def _find_anchors(
 ) -> list[_Anchors]:
     """Choose anchors in each depth map, and find the views that see them. mapped: the indices of views with maps."""
     each = max(1, min(options.anchors, options.max_anchors // len(mapped)))
-    known = {view: _without_edges(depths.known(number, cameras[view]), options) for number, view in enumerate(mapped)}
+    maps = {view: number for number, view in enumerate(mapped)}
+    known = {view: _without_edges(depths.known(number, cameras[view]), options) for view, number in maps.items()}
     centers = np.array([camera.center for camera in cameras])
     looking: dict[int, list[int]] = {view: [] for view in mapped}  # views without a depth map that are near
     for view in set(range(len(cameras))) - set(mapped):
@@ -166,9 +167,10 @@ def _find_anchors(
         rays = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], axis=1) @ np.linalg.inv(camera.K).T
         along = (rays * depth[rows, columns][:, None]) @ camera.cam_from_world[:3, :3]
         places = camera.center + along
+        normals = depths.planes(maps[source], camera)[1][rows, columns]
         seen = np.zeros((len(places), len(cameras)), bool)
         for other in (*mapped, *looking[source]):
-            seen[:, other] = other == source or _sees(cameras[other], places, known.get(other), options)
+            seen[:, other] = other == source or _sees(cameras[other], places, normals, known.get(other), options)
         seen[seen.sum(axis=1) < options.min_views] = False
         count = seen.sum(axis=0)
         most = sorted(mapped, key=lambda other: (other != source, -count[other]))[: options.most_views]
@@ -201,10 +203,21 @@ def _steepest(
     return kept // width * cell + best[kept] // cell, kept % width * cell + best[kept] % cell
 
 
-def _sees(camera: Camera, places: np.ndarray, depth: np.ndarray | None, options: BundleAdjustmentOptions) -> np.ndarray:
-    """Return which of the places [P,3] a view sees, according to its depth map [H,W]; None if it has none."""
+def _sees(
+    camera: Camera,
+    places: np.ndarray,
+    normals: np.ndarray,
+    depth: np.ndarray | None,
+    options: BundleAdjustmentOptions,
+) -> np.ndarray:
+    """Return which of the places [P,3] with unit normals [P,3] a view sees.
+
+    depth [H,W]: the view's depth map; None if it has none, and whether something is in front of a place is unknown.
+    """
     pixels, z = camera.project(places)
-    seen = (z > 0) & (pixels >= options.border).all(axis=1)
+    away = camera.center - places
+    seen = (z > 0) & (dots(away, normals) > options.min_cosine * lengths(away))
+    seen &= (pixels >= options.border).all(axis=1)
     seen &= (pixels < np.array([camera.width, camera.height]) - options.border).all(axis=1)
     if depth is not None:
         columns, rows = pixels[seen].astype(int).T

@@ -153,8 +153,9 @@ class BundleAdjustmentOptions(Options):
     border: NotNegative = 8.0  # pixels; width of the photograph's border without anchors
     clear: WholeNumber = 2  # pixels around an anchor in which the depth is known and does not jump
     jump: Positive = 0.05  # relative change of the depth within these pixels that counts as a jump
+    min_cosine: Share = 0.2  # least cosine between an anchor's normal and the direction to a view that sees it
     same_depth: Positive = 0.015  # largest relative difference of a view's depth from an anchor that the view sees
-    near_views: Count = 6  # nearest views with a depth map, whose anchors a view without one sees
+    near_views: Count = 12  # nearest views with a depth map, whose anchors a view without one sees
     min_views: Count = 4  # least number of views that see an anchor
     most_views: Count = 24  # most views with a depth map to which a photograph's anchors are compared
     blur: Positive = 0.7  # pixels; standard deviation of the blur of the detail
@@ -166,7 +167,7 @@ class BundleAdjustmentOptions(Options):
     outlier: Positive = 2.0  # deviations at which an observation counts half
     depth_deviation: Positive = 0.01  # relative standard deviation of an anchor's depth
     depth_limit: Positive = 0.01  # largest relative change of an anchor's depth in a step
-    hold: Positive = 0.005  # weight of a camera's given pose, as a share of what the photographs tell of it
+    hold: Positive = 0.002  # weight of a camera's given pose, as a share of what the photographs tell of it
     min_gain: Share = 0.02  # least share of the deviation between photographs that the adjustment must remove
 
 

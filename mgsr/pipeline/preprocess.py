@@ -209,8 +209,10 @@ def _with_depths(scene: Scene, config: Config, out: Path, step: Steps, expert: E
         depths = scene_depths(scene.train, config.seed, progress, expert.start.stereo, expert.stereo)
     if not config.data.adjust_cameras:
         return scene, depths
-    with step("start", "adjusting the cameras"):
-        adjusted = adjust_cameras(scene.train, scene.test, depths, expert.start.bundle)
+    text = "adjusting the cameras"
+    with step("start", text):
+        progress = step.share("start", text)
+        adjusted = adjust_cameras(scene.train, scene.test, depths, progress, expert.start.bundle)
         if adjusted is None:
             return scene, depths
         scene = scene.with_cameras(adjusted.train, adjusted.test, adjusted.shift)

@@ -9,14 +9,14 @@ couple cameras only through each anchor's mean detail and depth, which the Schur
 
 The lens and the frame stay as they are. Half of the anchors tell whether the cameras that the other half gives are
 better; if they are not, all cameras stay. The halves are cells of the scene, because the errors of neighbours are
-alike. Source: photometric bundle adjustment, Delaunoy and Pollefeys 2014; Alismail,
-Browning and Lucey 2016.
+alike. Source: photometric bundle adjustment, Delaunoy and Pollefeys 2014; Alismail, Browning and Lucey 2016.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 from scipy import linalg, ndimage
@@ -55,13 +55,16 @@ def adjust_cameras(
     train: Sequence[View],
     test: Sequence[View],
     depths: DepthMaps,
+    progress: Callable[[float], None] = lambda done: None,
     options: BundleAdjustmentOptions = BundleAdjustmentOptions(),
     threads: int | None = None,
 ) -> AdjustedCameras | None:
     """Adjust the cameras of a scene until its photographs agree about its surfaces.
 
-    depths: the depth maps of `some_of` the training views. All cameras together keep their position, orientation and
-    scale. Returns None if the photographs do not agree better afterwards, or if too few anchors exist.
+    depths: the depth maps of `some_of` the training views. progress: receives the share of the work that is done, 0..1.
+    All cameras together keep their position, orientation and scale.
+
+    Returns None if the photographs do not agree better afterwards, or if too few anchors exist.
     """
     views = [*train, *test]
     pixels = sum(view.camera.width * view.camera.height for view in views)
@@ -69,13 +72,16 @@ def adjust_cameras(
     details = list(map_ahead(lambda view: _detail(reduced_view(view, scale), options), views, threads))
     before = [view.camera.scaled(scale) for view in views]
     groups = _find_anchors(before, details, some_of(range(len(train))), depths, options, threads)
-    if sum(len(group.places) for group in groups) < options.min_anchors:
+    one, other = ([group.half(which, options.apart) for group in groups] for which in range(2))
+    if min(sum(len(group.places) for group in half) for half in (one, other)) < options.min_anchors:
         return None
+    finished, planned = count(1), options.rounds + 2 * options.depth_rounds + options.last_rounds
 
     def adjusted(some: Sequence[_Anchors], cameras: Sequence[Camera], rounds: int) -> list[Camera]:
         found, anchors = list(cameras), list(some)
         for _ in range(rounds):
             found, anchors, _ = _round(anchors, found, details, options, threads, before)
+            progress(next(finished) / planned)
         return found
 
     def deviation(some: Sequence[_Anchors], cameras: Sequence[Camera]) -> float:
@@ -83,12 +89,12 @@ def adjust_cameras(
         anchors, left = list(some), 0.0
         for _ in range(options.depth_rounds):
             _, anchors, left = _round(anchors, cameras, details, options, threads)
+            progress(next(finished) / planned)
         return left
 
-    one, other = ([group.half(which, options.apart) for group in groups] for which in range(2))
     half = adjusted(one, before, options.rounds)
     gain = 1 - deviation(other, half) / deviation(other, before)
-    if gain < options.min_gain:
+    if not gain >= options.min_gain:  # it is not a number if the adjustment diverged
         return None
     poses = _in_frame_of(before, adjusted(groups, half, options.last_rounds))
     after = [replace(view.camera, cam_from_world=pose.cam_from_world) for view, pose in zip(views, poses, strict=True)]
@@ -172,9 +178,9 @@ def _find_anchors(
         for other in (*mapped, *looking[source]):
             seen[:, other] = other == source or _sees(cameras[other], places, normals, known.get(other), options)
         seen[seen.sum(axis=1) < options.min_views] = False
-        count = seen.sum(axis=0)
-        most = sorted(mapped, key=lambda other: (other != source, -count[other]))[: options.most_views]
-        observers = [other for other in (*most, *looking[source]) if count[other] or other == source]
+        shown = seen.sum(axis=0)
+        most = sorted(mapped, key=lambda other: (other != source, -shown[other]))[: options.most_views]
+        observers = [other for other in (*most, *looking[source]) if shown[other] or other == source]
         good = seen[:, observers].any(axis=1)
         return _Anchors(places[good], along[good], observers, seen[good][:, observers])
 
@@ -189,16 +195,16 @@ def _without_edges(depth: np.ndarray, options: BundleAdjustmentOptions) -> np.nd
 
 
 def _steepest(
-    detail: _Detail, depth: np.ndarray, count: int, options: BundleAdjustmentOptions
+    detail: _Detail, depth: np.ndarray, most: int, options: BundleAdjustmentOptions
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows and columns of the steepest pixels with a depth, at most one in a cell and `count` in all."""
+    """Return the rows and columns of the steepest pixels with a depth, at most one in a cell and `most` in all."""
     steep = np.hypot(*np.gradient(detail.values)) * (detail.known & (depth > 0))
     cell = options.cell
     height, width = (side // cell for side in steep.shape)
     cells = steep[: height * cell, : width * cell].reshape(height, cell, width, cell).swapaxes(1, 2)
     cells = cells.reshape(height * width, cell * cell)
     best, slope = cells.argmax(axis=1), cells.max(axis=1)
-    kept = np.argsort(-slope, kind="stable")[:count]
+    kept = np.argsort(-slope, kind="stable")[:most]
     kept = np.sort(kept[slope[kept] > options.least_slope])
     return kept // width * cell + best[kept] // cell, kept % width * cell + best[kept] % cell
 
@@ -281,11 +287,11 @@ class _Equations:
     @classmethod
     def of(cls, readings: _Readings, prior: float) -> _Equations:
         """Set up the equations. prior: the weight of a relative change of 0 in an anchor's depth."""
-        weights, count, views = readings.weights, *readings.weights.shape
+        weights, points, views = readings.weights, *readings.weights.shape
         unknown = np.stack([np.ones_like(weights), readings.by_depth], axis=1)  # [P,2,V]
         weighted = unknown * weights[:, None]
         local = weighted @ unknown.swapaxes(1, 2) + np.diag([1e-9, prior])
-        mixed = (weighted[..., None] * readings.by_pose[:, None]).reshape(count, 2, 6 * views)
+        mixed = (weighted[..., None] * readings.by_pose[:, None]).reshape(points, 2, 6 * views)
         local_gradient = (weighted @ readings.values[..., None])[..., 0]
         inverse = np.linalg.inv(local)
         own = np.einsum("pvi,pvj->vij", readings.by_pose * weights[..., None], readings.by_pose)
@@ -360,7 +366,7 @@ def _solved(
     held = hold * np.diag(matrix) + 1e-9 * np.diag(matrix).max() + 1e-12
     matrix[np.diag_indices_from(matrix)] += held
     gradient += held * moved_by.ravel()
-    return np.asarray(-linalg.solve(matrix, gradient, assume_a="pos").reshape(views, 6))
+    return np.asarray(-linalg.solve(matrix, gradient, assume_a="sym").reshape(views, 6))
 
 
 def _turned(camera: Camera, step: np.ndarray) -> Camera:

@@ -99,8 +99,9 @@ def depths(erring: list[View], true: list[View]) -> DepthMaps:
 
 @pytest.fixture(scope="module")
 def adjusted(erring: list[View], depths: DepthMaps) -> AdjustedCameras:
-    found = adjust_cameras(*split(erring), depths, OPTIONS)
-    assert found is not None
+    done: list[float] = []
+    found = adjust_cameras(*split(erring), depths, done.append, OPTIONS)
+    assert found is not None and done == sorted(done) and done[-1] == 1
     return found
 
 
@@ -127,7 +128,7 @@ def test_the_frame_stays(erring: list[View], adjusted: AdjustedCameras) -> None:
 
 def test_exact_cameras_stay(true: list[View]) -> None:
     train, test = split(true)
-    assert adjust_cameras(train, test, depths_of(train, train), OPTIONS) is None
+    assert adjust_cameras(train, test, depths_of(train, train), options=OPTIONS) is None
 
 
 def test_other_exposures_change_nothing(erring: list[View], depths: DepthMaps, adjusted: AdjustedCameras) -> None:
@@ -137,7 +138,7 @@ def test_other_exposures_change_nothing(erring: list[View], depths: DepthMaps, a
         return [replace(view, image=image) for view, image in zip(views, images, strict=True)]
 
     train, test = split(erring)
-    other = adjust_cameras(darker(train), darker(test), depths, OPTIONS)
+    other = adjust_cameras(darker(train), darker(test), depths, options=OPTIONS)
     assert other is not None
     for one, two in zip(adjusted.train, other.train, strict=True):
         assert np.abs(one.cam_from_world - two.cam_from_world).max() < 0.25 * SHIFT
@@ -153,7 +154,7 @@ def test_invalid_pixels_are_not_used(erring: list[View], depths: DepthMaps, true
         return replace(view, image=np.where(valid[..., None], view.image, noise), valid_mask=valid)
 
     train, test = split(erring)
-    found = adjust_cameras([spoilt(train[0]), *train[1:]], test, depths, OPTIONS)
+    found = adjust_cameras([spoilt(train[0]), *train[1:]], test, depths, options=OPTIONS)
     assert found is not None
     exact = [view.camera for view in split(true)[0]]
     assert error(found.train, exact) < 0.5 * error([view.camera for view in train], exact)
@@ -167,7 +168,7 @@ def test_views_without_depth_maps_are_adjusted_too(
 
     monkeypatch.setattr(bundle_adjustment, "some_of", half)
     (train, test), (right, _) = split(erring), split(true)
-    found = adjust_cameras(train, test, depths_of(half(train), half(right)), OPTIONS)
+    found = adjust_cameras(train, test, depths_of(half(train), half(right)), options=OPTIONS)
     assert found is not None
     exact = [view.camera for view in right]
     before = [view.camera for view in train]
@@ -176,4 +177,4 @@ def test_views_without_depth_maps_are_adjusted_too(
 
 
 def test_few_anchors_change_nothing(erring: list[View], depths: DepthMaps) -> None:
-    assert adjust_cameras(*split(erring), depths, replace(OPTIONS, min_anchors=10**6)) is None
+    assert adjust_cameras(*split(erring), depths, options=replace(OPTIONS, min_anchors=10**6)) is None

@@ -148,7 +148,7 @@ class BundleAdjustmentOptions(Options):
     anchors: Count = 600  # most anchors in a photograph
     max_anchors: Count = 60_000  # most anchors in all photographs
     apart: Positive = 0.25  # ball radii, in contracted space; size of the cells whose anchors form a half
-    min_anchors: Count = 1000  # least anchors in all photographs; with fewer, the cameras stay
+    min_anchors: Count = 300  # least anchors in each half; with fewer, the cameras stay
     least_slope: NotNegative = 0.01  # log light per pixel; least slope of the detail at an anchor
     border: NotNegative = 8.0  # pixels; width of the photograph's border without anchors
     clear: WholeNumber = 2  # pixels around an anchor in which the depth is known and does not jump

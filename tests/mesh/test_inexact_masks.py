@@ -60,7 +60,9 @@ def test_corrections_from_found_masks_fade_away_from_the_contours() -> None:
     assert near > 0 and far / near < 0.3 * far_without / near_without, moved
 
 
-def test_found_masks_do_not_hold_the_surface_for_photometric_refinement() -> None:
+def test_only_masks_that_contradict_each_other_do_not_hold_the_surface() -> None:
     silhouettes, light = covered(RADIUS, 3), LightEstimate(searches=1)
-    assert PhotometricRefinement().applies(context_of(silhouettes, False), light)
-    assert not PhotometricRefinement().applies(context_of(silhouettes, True), light)
+    contexts = [context_of(silhouettes, found) for found in (False, True)]
+    assert all(PhotometricRefinement().applies(context, light) for context in contexts)
+    contradictory = replace(contexts[1], photos=replace(contexts[1].photos, margin=0.9))
+    assert not PhotometricRefinement().applies(contradictory, light)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from mgsr.config import Config, OutputConfig, Up
 from mgsr.config.expert import IrradianceOptions
 from mgsr.data.camera import Camera
 from mgsr.data.exposure import with_exposures
-from mgsr.data.scene import Exposures, Scene, Similarity
+from mgsr.data.scene import Exposures, Scene, Similarity, View
 from mgsr.data.up_direction import up_direction
 from mgsr.errors import MgsrError, in_short
 from mgsr.export.draco import require_draco
@@ -65,6 +66,8 @@ from mgsr.report.html import write_report_html
 from mgsr.report.pictures import ReportPictures
 from mgsr.shading.lighting import Lighting, add_irradiance
 
+Read = TypeVar("Read")
+
 COLOR_QUALITY, MAP_QUALITY = 90, 101  # of the compressed model's WebP maps, 1..100; 101 is lossless
 
 
@@ -110,20 +113,40 @@ def with_known_cameras(out: Path, scene: Scene) -> Scene:
 
     Raises MgsrError for a file that is damaged or belongs to other photographs.
     """
-    if not (out / ADJUSTED_CAMERAS).is_file():
+    path = out / ADJUSTED_CAMERAS
+    if not path.is_file():
         return scene
-    try:
-        table = json.loads((out / ADJUSTED_CAMERAS).read_text())
-        train, test = (
-            [_placed(view.camera, table[split][view.name], scene.user_from_scene) for view in views]
-            for split, views in (("train", scene.train), ("test", scene.test))
-        )
+
+    def placed(view: View, pose: list[list[float]]) -> Camera:
+        return _placed(view.camera, pose, scene.user_from_scene)
+
+    with _described(path, scene, "a pose"):
+        table = json.loads(path.read_text())
+        train, test = _of_views(table, scene, placed)
         return scene.with_cameras(train, test, float(table["shift"]))
+
+
+@contextmanager
+def _described(path: Path, scene: Scene, what: str) -> Iterator[None]:
+    """Raise MgsrError in place of the errors of reading a file that holds something, `what`, for each photograph."""
+    try:
+        yield
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise MgsrError(
-            f"{out / ADJUSTED_CAMERAS}: expected a pose for each photograph of {scene.name}: {in_short(error)}; run "
-            f"`mgsr train SCENE -o {out}` again"
+            f"{path}: expected {what} per photograph of {scene.name}: {in_short(error)}; run `mgsr train SCENE -o "
+            f"{path.parent}` again"
         ) from error
+
+
+def _of_views(
+    table: dict[str, dict[str, Any]], scene: Scene, read: Callable[[View, Any], Read]
+) -> tuple[list[Read], list[Read]]:
+    """Read the entries of the training and of the test views from a table by split and by the views' names."""
+    train, test = (
+        [read(view, table[split][view.name]) for view in views]
+        for split, views in (("train", scene.train), ("test", scene.test))
+    )
+    return train, test
 
 
 def _placed(camera: Camera, pose: list[list[float]], user_from_scene: Similarity) -> Camera:
@@ -155,17 +178,9 @@ def at_known_exposures(out: Path, scene: Scene) -> Scene:
     """
     if not (out / EXPOSURES).is_file():
         return scene
-    try:
-        table = json.loads((out / EXPOSURES).read_text())
-        train, test = (
-            np.array([table[split][view.name] for view in views], np.float64).reshape(len(views), 3)
-            for split, views in (("train", scene.train), ("test", scene.test))
-        )
-    except (OSError, ValueError, LookupError, TypeError) as error:
-        raise MgsrError(
-            f"{out / EXPOSURES}: expected three factors per photograph of {scene.name}: {in_short(error)}; run `mgsr "
-            f"train SCENE -o {out}` again"
-        ) from error
+    with _described(out / EXPOSURES, scene, "three factors"):
+        both = _of_views(json.loads((out / EXPOSURES).read_text()), scene, lambda view, factors: factors)
+        train, test = (np.array(factors, np.float64).reshape(len(factors), 3) for factors in both)
     factors = np.concatenate([train, test])
     if not (np.isfinite(factors) & (factors > 0)).all():
         raise MgsrError(f"{out / EXPOSURES}: expected factors above 0; run `mgsr train SCENE -o {out}` again")

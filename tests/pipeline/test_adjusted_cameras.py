@@ -69,7 +69,7 @@ def test_a_damaged_file_is_refused(scene: Scene, tmp_path: Path, damage: str) ->
     elif damage == "nan":
         table["train"][first][0][3] = float("nan")
     path.write_text("{" if damage == "text" else json.dumps(table))
-    with pytest.raises(MgsrError, match=r"adjusted_cameras\.json: expected a pose for each photograph of spheres"):
+    with pytest.raises(MgsrError, match=r"adjusted_cameras\.json: expected a pose per photograph of spheres"):
         with_known_cameras(tmp_path, scene)
 
 

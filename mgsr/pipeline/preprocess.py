@@ -50,13 +50,8 @@ from mgsr.training.background import train_background
 from mgsr.training.exposure import find_exposures
 from mgsr.training.learned_masks import learn_masks
 
-LATER = (
-    "exposure",
-    "adjust_cameras",
-    "object",
-    "object_box",
-    "check",
-)  # settings of DataConfig that take effect after the reading
+# Settings of DataConfig that take effect after the reading.
+LATER = ("exposure", "adjust_cameras", "object", "object_box", "check")
 
 
 def take_scene(

@@ -163,10 +163,16 @@ def _seen(mesh: Mesh, views: Sequence[View], gap: float) -> Mesh:
     seen = np.zeros(len(mesh.vertices), bool)
     for view in views:
         left = np.flatnonzero(~seen)
-        valid = None if view.alpha is None else view.alpha > 127
-        seen[left] = mesh.caster.sees(view.camera, mesh.vertices[left], gap, valid)
+        seen[left] = mesh.caster.sees(view.camera, mesh.vertices[left], gap, _shown(view))
     faces = seen[mesh.faces].any(axis=1)
     return mesh.keep_faces(faces) if faces.any() else mesh
+
+
+def _shown(view: View) -> np.ndarray | None:
+    """Return the valid pixels [H,W] bool that show the object; None if all do."""
+    masks = [view.valid_mask, None if view.alpha is None else view.alpha > 127]
+    known = [mask for mask in masks if mask is not None]
+    return np.logical_and.reduce(known) if known else None
 
 
 def _seen_on_hull(

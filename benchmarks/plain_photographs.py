@@ -143,13 +143,11 @@ def scored(scene: Path, kind: Input, out: Path, given: argparse.Namespace) -> Pl
     truth = true_poses(scene)
     found = report["inspection"]["photographs"]
     true = np.stack([truth[photograph_of(photo["name"], kind, list(truth))] for photo in found])
-    poses = found_poses(out)
-    centers = np.array([poses.get(photo["name"], (photo["center"], None))[0] for photo in found])
+    centers, directions = used_cameras(out, found)
     placing, _, _ = trimesh.registration.procrustes(centers, true[:, :3, 3], reflection=False)
     off = np.linalg.norm(trimesh.transform_points(centers, placing) - true[:, :3, 3], axis=1)
     share = 100 * off / np.linalg.norm(true[:, :3, 3] - middle(scene), axis=1)
     turn = placing[:3, :3] / np.cbrt(np.linalg.det(placing[:3, :3]))
-    directions = np.array([poses.get(photo["name"], (None, photo["direction"]))[1] for photo in found])
     cosines = (directions @ turn.T * -true[:, :3, 2]).sum(axis=1)
     surface = surface_scores(scene, out, placing, given.tools)
     return PlainRow(
@@ -179,14 +177,18 @@ def true_poses(scene: Path) -> dict[str, np.ndarray]:
     return dict(sorted(poses.items()))
 
 
-def found_poses(out: Path) -> dict[str, tuple[list[float], list[float]]]:
-    """Return the centres and viewing directions of cameras that a run adjusted, by the photographs' names."""
-    path = ResultPaths(out).adjusted_cameras
-    if not path.is_file():
-        return {}
-    splits = json.loads(path.read_text())
-    poses = {name: np.array(pose) for split in ("train", "test") for name, pose in splits[split].items()}
-    return {name: (pose[:3, 3].tolist(), pose[:3, 2].tolist()) for name, pose in poses.items()}
+def used_cameras(out: Path, found: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the centres [N,3] and viewing directions [N,3] of a run's cameras, adjusted ones where there are any.
+
+    found: the photographs of the run's inspection, which comes before the adjustment.
+    """
+    adjusted = ResultPaths(out).adjusted_cameras
+    if not adjusted.is_file():
+        return np.array([photo["center"] for photo in found]), np.array([photo["direction"] for photo in found])
+    splits = json.loads(adjusted.read_text())
+    named = splits["train"] | splits["test"]
+    poses = np.array([named[photo["name"]] for photo in found])
+    return poses[:, :3, 3], poses[:, :3, 2]
 
 
 def photograph_of(name: str, kind: Input, names: list[str]) -> str:

@@ -150,8 +150,8 @@ class Scene:
     mask_error: the median distance, in pixels, of given masks' contours to those of their hull; None until it is
     measured by `with_mask_error`.
     object_place: the object's place according to the capture, None if the capture gives none.
-    camera_shift: the median distance, in pixels, by which the adjustment of the cameras moved the photographs; None if
-    the cameras are those of the capture.
+    camera_shift: the median distance, in pixels, by which the adjustment of the cameras moved points in the
+    photographs; None if the cameras are those of the capture.
     """
 
     name: str
@@ -196,11 +196,11 @@ class Scene:
 
     def with_cameras(self, train: Sequence[Camera], test: Sequence[Camera], shift: float) -> Scene:
         """Return the scene with adjusted cameras of its views. shift: see `camera_shift`."""
-        both = (
+        placed_train, placed_test = (
             [replace(view, camera=camera) for view, camera in zip(views, cameras, strict=True)]
             for views, cameras in ((self.train, train), (self.test, test))
         )
-        return replace(self, train=next(both), test=next(both), camera_shift=shift)
+        return replace(self, train=placed_train, test=placed_test, camera_shift=shift)
 
     @cached_property
     def plain_backdrop(self) -> Color | None:

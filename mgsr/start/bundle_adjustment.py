@@ -94,7 +94,7 @@ def adjust_cameras(
 
     half = adjusted(one, before, options.rounds)
     gain = 1 - deviation(other, half) / deviation(other, before)
-    if not gain >= options.min_gain:  # it is not a number if the adjustment diverged
+    if gain < options.min_gain:
         return None
     poses = _in_frame_of(before, adjusted(groups, half, options.last_rounds))
     after = [replace(view.camera, cam_from_world=pose.cam_from_world) for view, pose in zip(views, poses, strict=True)]
@@ -162,10 +162,11 @@ def _find_anchors(
     known = {view: _without_edges(depths.known(number, cameras[view]), options) for view, number in maps.items()}
     centers = np.array([camera.center for camera in cameras])
     looking: dict[int, list[int]] = {view: [] for view in mapped}  # views without a depth map that are near
-    for view in set(range(len(cameras))) - set(mapped):
-        away = np.linalg.norm(centers[list(mapped)] - centers[view], axis=1)
-        for near in np.argsort(away, kind="stable")[: options.near_views]:
-            looking[mapped[near]].append(view)
+    for view in range(len(cameras)):
+        if view not in maps:
+            away = lengths(centers[list(mapped)] - centers[view])
+            for near in np.argsort(away, kind="stable")[: options.near_views]:
+                looking[mapped[near]].append(view)
 
     def chosen(source: int) -> _Anchors:
         camera, depth = cameras[source], known[source]
@@ -257,9 +258,10 @@ def _read(anchors: _Anchors, cameras: Sequence[Camera], details: Sequence[_Detai
     by_pose = np.zeros((*anchors.seen.shape, 6))
     for number, view in enumerate(anchors.views):
         camera, detail = cameras[view], details[view]
-        seen = np.flatnonzero(anchors.seen[:, number])
         pose = camera.cam_from_world
-        places = anchors.places[seen] @ pose[:3, :3].T + pose[:3, 3]
+        places = anchors.places @ pose[:3, :3].T + pose[:3, 3]
+        seen = np.flatnonzero(anchors.seen[:, number] & (places[:, 2] > 0))
+        places = places[seen]
         pixels = places[:, :2] / places[:, 2:] * np.diag(camera.K)[:2] + camera.K[:2, 2]
         across = detail.slopes(pixels) * np.diag(camera.K)[:2] / places[:, 2:]
         slope = np.column_stack([across, -dots(across, places[:, :2]) / places[:, 2]])  # by the place in the camera

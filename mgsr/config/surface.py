@@ -58,7 +58,7 @@ class MeshConfig:
     max_light_residual: float | None = 0.85
     # Photometric refinement smooths displacements over this many pixels. It needs masks and max_light_residual.
     # none: off.
-    photometric_reach: float | None = 8.0
+    photometric_reach: float | None = 6.0
     # Patches are removed if photographs under a flash differ by more than this (sRGB 0..1), beyond what a surface
     # error of 0.7 pixels explains. none or close_holes: off.
     photometric_residual: float | None = 0.022

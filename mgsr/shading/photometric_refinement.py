@@ -10,6 +10,10 @@ as Lucas and Kanade (1981) do, with one displacement for each vertex, along its 
 Each half of the photographs gives displacements of its own. Noise differs between the halves, and displacements shrink
 where they do. So the surface converges, and noise does not add up over the steps.
 
+A surface from stereo may err by many pixels. The prior then holds each step's displacement alone, so that all steps
+together may go far. A trained surface errs by less than a pixel. The prior and the comparison of the halves then hold
+the displacements of all steps together. Errors that the halves share, such as those of the cameras, roughen it less.
+
 Reflections move across the surface even under static light, and both halves show them. If the environment map is known,
 an observation weighs less where the mirrored detail around it is stronger, and the surface moves in fewer steps. The
 silhouette contours must hold the surface, because parallax alone pulls it slightly inwards.
@@ -17,7 +21,7 @@ silhouette contours must hold the surface, because parallax alone pulls it sligh
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,12 +49,14 @@ def refine_photometrically(
     light_model: LightModel | None = None,
     go_on: Callable[[], bool] = lambda: True,
     options: PhotometricOptions = PhotometricOptions(),
+    accurate: bool = False,
 ) -> Mesh:
     """Move a mesh's vertices along their normals to photo-consistent positions.
 
     photos: the photographs; their silhouette contours hold the surface. reach: the distance, in pixels, over which a
     displacement with a deviation of `options.precision` spreads. light_model: the light of the photographs; None:
-    unknown. go_on: called before every round; the refinement ends once it returns False.
+    unknown. go_on: called before every round; the refinement ends once it returns False. accurate: whether the mesh
+    errs by less than a pixel, so that the prior holds the displacements of all steps together.
     """
     pixel = photos.pixel_on(mesh)
     light = KnownLight.known_by(light_model, mesh)
@@ -61,9 +67,8 @@ def refine_photometrically(
     coarse = coarser(start, options.coarse_edge * pixel, options.max_faces)
     precision = options.inexact_contour_precision if photos.masks_inexact else options.contour_precision
     plate = _plate(start.vertices, coarse, reach * pixel)
-    moved = start
-    rounds, steps = (options.rounds, options.steps) if light.mirrors is None else (options.mirrored_rounds, 1)
-    for _ in range(rounds):
+    moved, total = start, np.zeros(len(start.vertices))
+    for steps in _steps(options, light, accurate):
         if not go_on():
             break
         surface = ObservedMesh(moved, pixel, options.details)
@@ -72,11 +77,18 @@ def refine_photometrically(
         hold = _Hold(gaps / pixel, np.minimum(touched, 1) * (options.precision / precision) ** 2)
         move = np.zeros(len(moved.vertices))
         for _ in range(steps):
-            move += _step(details.after(move), surface, hold.after(move), plate, options)
-        moved = moved.moved(
-            moved.vertices + pixel * np.clip(move, -options.limit, options.limit)[:, None] * moved.double_normals
-        )
+            held = total + move if accurate else np.zeros_like(move)
+            move += _step(details.after(move), surface, hold.after(move), held, plate, options)
+        move = np.clip(move, -options.limit, options.limit)
+        moved, total = moved.moved(moved.vertices + pixel * move[:, None] * moved.double_normals), total + move
     return mesh.moved(mesh.vertices + start.prolongation(mesh.vertices) @ (moved.vertices - start.vertices))
+
+
+def _steps(options: PhotometricOptions, light: KnownLight, accurate: bool) -> Sequence[int]:
+    """Return the number of steps in each round."""
+    if light.mirrors is not None:
+        return [1] * options.mirrored_rounds
+    return [options.steps] * (options.accurate_rounds if accurate else options.rounds)
 
 
 def _plate(points: np.ndarray, coarse: Mesh, reach: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
@@ -107,25 +119,27 @@ def _step(
     details: Details,
     surface: ObservedMesh,
     hold: _Hold,
+    held: np.ndarray,
     plate: Callable[[np.ndarray, np.ndarray], np.ndarray],
     options: PhotometricOptions,
 ) -> np.ndarray:
     """Return displacements [V], in pixels, to where photographs and contours agree, as far as they are no noise.
 
-    plate: as returned by `_plate`.
+    held [V]: earlier displacements, in pixels, that the prior holds together with this one. plate: as returned by
+    `_plate`.
     """
 
     def moves(some: Details) -> np.ndarray:
-        """Return the displacements [V] that some of the observations and the contours give."""
+        """Return the displacements [V], with those before, that some observations and the contours give."""
         target, weights = _registered(some, surface, options)
-        total = weights + hold.weights + options.prior_weight
-        moved = plate((weights * target + hold.weights * hold.target) / total, total)
-        return np.asarray(np.clip(moved, -options.limit, options.limit))
+        sums = weights + hold.weights + options.prior_weight
+        moved = plate((weights * (held + target) + hold.weights * (held + hold.target)) / sums, sums)
+        return np.asarray(np.clip(moved, held - options.limit, held + options.limit))
 
     halves = [_half(details, first, options.min_in_half) for first in range(2)]
     known = np.all([half.weights.any(axis=1) for half in halves], axis=0)
     one, other = (moves(half) for half in halves)
-    return np.asarray(_agreement(one, other, known, surface, options) * moves(details))
+    return np.asarray(_agreement(one, other, known, surface, options) * moves(details) - held)
 
 
 def _half(details: Details, first: int, least: int) -> Details:

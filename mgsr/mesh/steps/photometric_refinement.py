@@ -47,5 +47,5 @@ class PhotometricRefinement(MeshStep):
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
         reach = context.config.photometric_reach or 0.0
-        moved = refine_photometrically(mesh, context.photos, reach, light.model, context.go_on, self.options)
+        moved = refine_photometrically(mesh, context.photos, reach, light.model, context.go_on, self.options, True)
         return StepResult(moved, light)

@@ -133,7 +133,7 @@ class ObjectSearchOptions(Options):
     known: Share = 0.03  # least share of an object surfel's pixels whose background is known
     min_surfels: Annotated[int, Range(4)] = 50  # least surfels of an object
     rival: NotNegative = 0.4  # relative size of a second piece above which the object is ambiguous
-    outer_margin: NotNegative = 3.0  # pixels outside the hull's silhouette beyond which final masks are 0
+    outer_margin: NotNegative = 1.5  # pixels outside the hull's silhouette beyond which final masks are 0
     filled: NotNegative = 2.0  # pixels inside the hull's silhouette beyond which final masks are 1, except in gaps
     min_agreement: Share = 0.75  # least mean intersection over union of the masks and the hull's silhouettes
     min_shown: Share = 0.8  # least share of the photographs that show the object

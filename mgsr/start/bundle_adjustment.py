@@ -245,6 +245,16 @@ class _Readings:
     by_pose: np.ndarray
     by_depth: np.ndarray
 
+    @classmethod
+    def empty(cls, shape: tuple[int, ...]) -> _Readings:
+        """Return readings of which all weights are 0; shape: P and V."""
+        return cls(np.zeros(shape), np.zeros(shape), np.zeros((*shape, 6)), np.zeros(shape))
+
+    def write(self, rows: np.ndarray, number: int, part: Sequence[np.ndarray]) -> None:
+        """Write what one view shows of the anchors `rows` [R]; part: their fields, in the order of the class."""
+        for field, values in zip((self.values, self.weights, self.by_pose, self.by_depth), part, strict=True):
+            field[rows, number] = values
+
     def residual(self) -> np.ndarray:
         """Return the detail [P,V] minus its weighted mean over the views."""
         total = np.maximum(self.weights.sum(axis=1, keepdims=True), 1e-9)
@@ -252,24 +262,51 @@ class _Readings:
         return residual
 
 
-def _read(anchors: _Anchors, cameras: Sequence[Camera], details: Sequence[_Detail]) -> _Readings:
-    """Sample the anchors' detail in the views that see them."""
-    values, weights, by_depth = (np.zeros(anchors.seen.shape) for _ in range(3))
-    by_pose = np.zeros((*anchors.seen.shape, 6))
-    for number, view in enumerate(anchors.views):
-        camera, detail = cameras[view], details[view]
-        pose = camera.cam_from_world
-        places = anchors.places @ pose[:3, :3].T + pose[:3, 3]
-        seen = np.flatnonzero(anchors.seen[:, number] & (places[:, 2] > 0))
-        places = places[seen]
-        pixels = places[:, :2] / places[:, 2:] * np.diag(camera.K)[:2] + camera.K[:2, 2]
-        across = detail.slopes(pixels) * np.diag(camera.K)[:2] / places[:, 2:]
-        slope = np.column_stack([across, -dots(across, places[:, :2]) / places[:, 2]])  # by the place in the camera
-        values[seen, number] = sample_image(detail.values, pixels)
-        weights[seen, number] = lie_within(detail.known, pixels)
-        by_pose[seen, number] = np.concatenate([np.cross(places, slope), slope], axis=1)
-        by_depth[seen, number] = dots(slope, anchors.along[seen] @ pose[:3, :3].T)
-    return _Readings(values, weights, by_pose, by_depth)
+def _read(
+    groups: Sequence[_Anchors], cameras: Sequence[Camera], details: Sequence[_Detail], threads: int | None
+) -> list[_Readings]:
+    """Sample the anchors' detail in the views that see them; each view samples the anchors of all groups at once."""
+    readings = [_Readings.empty(group.seen.shape) for group in groups]
+    columns: list[list[tuple[int, int]]] = [
+        [] for _ in cameras
+    ]  # of each view: groups, and its number among their views
+    for index, group in enumerate(groups):
+        for number, view in enumerate(group.views):
+            columns[view].append((index, number))
+
+    def read(view: int) -> None:
+        seen = [np.flatnonzero(groups[index].seen[:, number]) for index, number in columns[view]]
+        if not seen:
+            return
+        places, along = (
+            np.concatenate([each[rows] for each, rows in zip(all_of, seen, strict=True)])
+            for all_of in zip(*((groups[index].places, groups[index].along) for index, _ in columns[view]), strict=True)
+        )
+        found = _read_view(places, along, cameras[view], details[view])
+        ends = np.cumsum([len(rows) for rows in seen])[:-1]
+        parts = zip(*(np.split(each, ends) for each in found), strict=True)
+        for (index, number), rows, part in zip(columns[view], seen, parts, strict=True):
+            readings[index].write(rows, number, part)
+
+    list(map_ahead(read, range(len(cameras)), threads))
+    return readings
+
+
+def _read_view(places: np.ndarray, along: np.ndarray, camera: Camera, detail: _Detail) -> tuple[np.ndarray, ...]:
+    """Sample anchors at places [P,3] in one view; along [P,3]: as in `_Anchors`. Returns the fields of `_Readings`."""
+    pose, focal = camera.cam_from_world, np.diag(camera.K)[:2]
+    places = places @ pose[:3, :3].T + pose[:3, 3]
+    in_front = places[:, 2] > 0
+    z = np.where(in_front, places[:, 2], 1)[:, None]
+    pixels = places[:, :2] / z * focal + camera.K[:2, 2]
+    across = detail.slopes(pixels) * focal / z
+    slope = np.column_stack([across, -dots(across, places[:, :2]) / z[:, 0]])  # by the place in the camera's frame
+    return (
+        sample_image(detail.values, pixels),
+        in_front & lie_within(detail.known, pixels),
+        np.concatenate([np.cross(places, slope), slope], axis=1),
+        dots(slope, along @ pose[:3, :3].T),
+    )
 
 
 @dataclass(frozen=True)
@@ -296,7 +333,7 @@ class _Equations:
         mixed = (weighted[..., None] * readings.by_pose[:, None]).reshape(points, 2, 6 * views)
         local_gradient = (weighted @ readings.values[..., None])[..., 0]
         inverse = np.linalg.inv(local)
-        own = np.einsum("pvi,pvj->vij", readings.by_pose * weights[..., None], readings.by_pose)
+        own = (readings.by_pose * weights[..., None]).transpose(1, 2, 0) @ readings.by_pose.transpose(1, 0, 2)
         matrix = -np.tensordot(mixed, inverse @ mixed, axes=([0, 1], [0, 1]))
         for view in range(views):
             matrix[6 * view : 6 * view + 6, 6 * view : 6 * view + 6] += own[view]
@@ -323,8 +360,7 @@ def _round(
 
     before: the cameras as they were given, which hold the cameras; None: only the depths are adjusted.
     """
-    read = list(map_ahead(lambda group: _read(group, cameras, details), groups, threads))
-    readings, noise = _reweighted(read, options.outlier)
+    readings, noise = _reweighted(_read(groups, cameras, details, threads), options.outlier)
     prior = (noise / options.depth_deviation) ** 2
     equations = list(map_ahead(lambda each: _Equations.of(each, prior), readings, threads))
     steps = np.zeros((len(cameras), 6))

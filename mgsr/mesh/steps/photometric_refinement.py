@@ -13,7 +13,7 @@ from mgsr.shading.light_estimate import LightEstimate
 from mgsr.shading.photometric_refinement import refine_photometrically
 
 # Seconds on the reference scene: of each turn under a flash, and of the only turn under other light.
-FLASH_TURN, ONLY_TURN = 22.0, 13.0
+FLASH_TURN, ONLY_TURN = 10.0, 6.0
 
 
 @dataclass(frozen=True)

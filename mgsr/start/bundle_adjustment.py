@@ -250,10 +250,10 @@ class _Readings:
         """Return readings of which all weights are 0; shape: P and V."""
         return cls(np.zeros(shape), np.zeros(shape), np.zeros((*shape, 6)), np.zeros(shape))
 
-    def write(self, rows: np.ndarray, number: int, part: Sequence[np.ndarray]) -> None:
-        """Write what one view shows of the anchors `rows` [R]; part: their fields, in the order of the class."""
+    def write(self, rows: np.ndarray, column: int, part: Sequence[np.ndarray]) -> None:
+        """Write the readings of the anchors `rows` [R] in a view's column; part: in the order of the fields."""
         for field, values in zip((self.values, self.weights, self.by_pose, self.by_depth), part, strict=True):
-            field[rows, number] = values
+            field[rows, column] = values
 
     def residual(self) -> np.ndarray:
         """Return the detail [P,V] minus its weighted mean over the views."""
@@ -267,25 +267,20 @@ def _read(
 ) -> list[_Readings]:
     """Sample the anchors' detail in the views that see them; each view samples the anchors of all groups at once."""
     readings = [_Readings.empty(group.seen.shape) for group in groups]
-    columns: list[list[tuple[int, int]]] = [
-        [] for _ in cameras
-    ]  # of each view: groups, and its number among their views
+    columns: list[list[tuple[int, int, np.ndarray]]] = [[] for _ in cameras]  # a view's groups, columns and anchors
     for index, group in enumerate(groups):
         for number, view in enumerate(group.views):
-            columns[view].append((index, number))
+            columns[view].append((index, number, np.flatnonzero(group.seen[:, number])))
 
     def read(view: int) -> None:
-        seen = [np.flatnonzero(groups[index].seen[:, number]) for index, number in columns[view]]
-        if not seen:
+        if not columns[view]:
             return
-        places, along = (
-            np.concatenate([each[rows] for each, rows in zip(all_of, seen, strict=True)])
-            for all_of in zip(*((groups[index].places, groups[index].along) for index, _ in columns[view]), strict=True)
-        )
+        places = np.concatenate([groups[index].places[rows] for index, _, rows in columns[view]])
+        along = np.concatenate([groups[index].along[rows] for index, _, rows in columns[view]])
         found = _read_view(places, along, cameras[view], details[view])
-        ends = np.cumsum([len(rows) for rows in seen])[:-1]
+        ends = np.cumsum([len(rows) for _, _, rows in columns[view]])[:-1]
         parts = zip(*(np.split(each, ends) for each in found), strict=True)
-        for (index, number), rows, part in zip(columns[view], seen, parts, strict=True):
+        for (index, number, rows), part in zip(columns[view], parts, strict=True):
             readings[index].write(rows, number, part)
 
     list(map_ahead(read, range(len(cameras)), threads))

@@ -47,5 +47,7 @@ class PhotometricRefinement(MeshStep):
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
         reach = context.config.photometric_reach or 0.0
-        moved = refine_photometrically(mesh, context.photos, reach, light.model, context.go_on, self.options, True)
+        moved = refine_photometrically(
+            mesh, context.photos, reach, light.model, context.go_on, self.options, accurate=True
+        )
         return StepResult(moved, light)

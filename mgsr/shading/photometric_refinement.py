@@ -11,8 +11,9 @@ Each half of the photographs gives displacements of its own. Noise differs betwe
 where they do. So the surface converges, and noise does not add up over the steps.
 
 A surface from stereo may err by many pixels. The prior then holds each step's displacement alone, so that all steps
-together may go far. A trained surface errs by less than a pixel. The prior and the comparison of the halves then hold
-the displacements of all steps together. Errors that the halves share, such as those of the cameras, roughen it less.
+together may go far. A trained surface mostly errs by less than a pixel. The prior and the comparison of the halves then
+hold the displacements of all steps together. Errors that the halves share, such as those of the cameras, roughen it
+less.
 
 Reflections move across the surface even under static light, and both halves show them. If the environment map is known,
 an observation weighs less where the mirrored detail around it is stronger, and the surface moves in fewer steps. The
@@ -56,7 +57,7 @@ def refine_photometrically(
     photos: the photographs; their silhouette contours hold the surface. reach: the distance, in pixels, over which a
     displacement with a deviation of `options.precision` spreads. light_model: the light of the photographs; None:
     unknown. go_on: called before every round; the refinement ends once it returns False. accurate: whether the mesh
-    errs by less than a pixel, so that the prior holds the displacements of all steps together.
+    mostly errs by less than a pixel, so that the prior holds the displacements of all steps together.
     """
     pixel = photos.pixel_on(mesh)
     light = KnownLight.known_by(light_model, mesh)

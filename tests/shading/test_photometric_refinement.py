@@ -201,7 +201,9 @@ def with_camera_errors(views: list[View], pixels: float) -> list[View]:
 
 
 def test_camera_errors_roughen_an_accurate_surface_less() -> None:
-    """Check that cameras which err by half a pixel tilt an accurate surface by half as much, and that a dent shows."""
+    """Check that cameras which err by half a pixel tilt an accurate surface by little more than half as much.
+
+    A dent still comes out."""
     truth, full = dented(), ball(RADIUS)
     views = photographs(truth, painted, noise=3)
     photos = photos_of(truth, views)

@@ -180,7 +180,7 @@ class PhotometricOptions(Options):
     coarse_edge: Positive = 3.0  # pixels; edge length of the mesh that carries the smooth displacements
     max_faces: Count = MAX_FACES  # most faces of either mesh
     rounds: WholeNumber = 6  # rounds of sampling the photographs and moving the vertices
-    accurate_rounds: WholeNumber = 2  # rounds on a surface that errs by less than a pixel, such as the trained one
+    accurate_rounds: WholeNumber = 2  # rounds on an accurate surface, such as the trained one
     mirrored_rounds: WholeNumber = 4  # rounds, of one step each, where the surface mirrors a known environment map:
     # reflections move it inwards, a little in each step
     steps: Count = 3  # steps to a round, all from its samples and their slopes

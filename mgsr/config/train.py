@@ -268,7 +268,7 @@ class TrainConfig:
     # colours of the photographs.
     flash: bool = True
     background: Background = Background.AUTO
-    # The photographic losses see the mask's box and this many pixels around it. none: the whole image.
+    # Only the mask's box and this many pixels around it are rendered. none: the whole photograph.
     crop_margin: int | None = 16
     # No splat may be nearer to a training camera than this share of the way to the nearest starting points, in scenes
     # without masks. 0: off.

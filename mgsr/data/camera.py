@@ -50,6 +50,12 @@ class Camera:
         """Return the same camera with its image's sides times a factor, rounded, each of `least` pixels or more."""
         return self.resized(max(least, round(self.width * factor)), max(least, round(self.height * factor)))
 
+    def cropped(self, rows: slice, columns: slice) -> Camera:
+        """Return the camera of a part of its image; both slices have a start and a stop inside the image."""
+        K = self.K.copy()
+        K[:2, 2] -= columns.start, rows.start
+        return replace(self, K=K, width=columns.stop - columns.start, height=rows.stop - rows.start)
+
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return pixel coordinates [P,2] and camera depths [P] of world points [P,3].
 

@@ -49,6 +49,22 @@ class View:
         """Return where a channel may be clipped, [H,W,3] bool; None where `white` is None."""
         return None if self.white is None else self.image >= self.white
 
+    def cropped(self, rows: slice, columns: slice) -> View:
+        """Return a part of the view that shares its memory; both slices have a start and a stop inside the image."""
+
+        def part(pixels: np.ndarray | None) -> np.ndarray | None:
+            return None if pixels is None else pixels[rows, columns]
+
+        return View(
+            self.name,
+            self.camera.cropped(rows, columns),
+            self.image[rows, columns],
+            part(self.alpha),
+            part(self.valid_mask),
+            part(self.irradiance),
+            self.white,
+        )
+
 
 @dataclass(frozen=True)
 class Similarity:

@@ -64,13 +64,7 @@ def whole_part(view: View) -> View:
     """Crop a view to a large rectangle of valid pixels. A view without a valid mask is returned as it is."""
     if view.valid_mask is None:
         return view
-    rows, columns = largest_rectangle(view.valid_mask)
-    K = view.camera.K.copy()
-    K[:2, 2] -= columns.start, rows.start
-    height, width = rows.stop - rows.start, columns.stop - columns.start
-    camera = replace(view.camera, K=K, width=width, height=height)
-    alpha = None if view.alpha is None else view.alpha[rows, columns]
-    return View(view.name, camera, view.image[rows, columns], alpha, white=view.white)
+    return replace(view.cropped(*largest_rectangle(view.valid_mask)), valid_mask=None)
 
 
 def largest_rectangle(valid: np.ndarray) -> tuple[slice, slice]:

@@ -1,7 +1,9 @@
 """The branches' losses, put together from their terms (supplement, Algorithms 1 and 2).
 
 Each function returns its terms by name, already times their weights: `total` sums them up, and a term that goes wrong
-can be named. A term whose weight is zero is not computed.
+can be named. A term whose weight is zero is not computed. Means over a part of a photograph are multiplied by the
+part's share of the pixels (`Target.share`), and thus cost what they cost in the whole photograph; means over the
+object's pixels are not.
 """
 
 from __future__ import annotations
@@ -66,7 +68,7 @@ def gaussian_terms(
     if settings.reflected_cost and outputs.own_reflected is not None and outputs.weight is not None:
         # The light is never negative, so its mean is its L1 norm.
         added = product_term(outputs.weight, outputs.own_reflected)
-        terms["gaussians.reflected_cost"] = settings.reflected_cost * added
+        terms["gaussians.reflected_cost"] = settings.reflected_cost * target.share * added
     if config.paper.tv and depth_tv_weight:
         tv = edge_aware_tv_term(_rendered(outputs.depth), target.color, mask=covered)
         terms["gaussians.depth_tv"] = depth_tv_weight * tv
@@ -95,7 +97,7 @@ def mutual_terms(surfels: SurfelOutputs, gaussians: GaussianOutputs, target: Tar
         full_depth, depth = _rendered(gaussians.depth), surface_depth(surfels, config)
         unit = depth_unit(config.paper.depth_unit, full_depth, target.distance)
         agreement = depth_agreement(full_depth, depth if both else depth.detach(), (on_surfels, on_gaussians), unit)
-        terms["mutual.depth"] = settings.depth_weight * agreement
+        terms["mutual.depth"] = settings.depth_weight * target.share * agreement
     return terms
 
 
@@ -116,7 +118,7 @@ def surface_terms(outputs: SurfelOutputs, target: Target, guide: Tensor, covered
     if config.paper.tv and settings.depth_tv_weight:
         terms["surfels.depth_tv"] = settings.depth_tv_weight * edge_aware_tv_term(depth, guide, mask=covered)
     if config.paper.distortion_weight and outputs.distortion is not None:
-        terms["surfels.distortion"] = config.paper.distortion_weight * outputs.distortion.mean()
+        terms["surfels.distortion"] = config.paper.distortion_weight * target.share * outputs.distortion.mean()
     return terms
 
 
@@ -180,15 +182,16 @@ def _own_photo(
 def _photo(
     image: Tensor, other: Tensor, target: Target, config: TrainConfig, where: Tensor | None = None, clip: bool = False
 ) -> Term:
-    """Return the photometric term of an image [H,W,3] against another, in the target's region.
+    """Return the photometric term of an image [H,W,3] against another.
 
-    where [H,W]: weights of the pixels, or None; clip: as for `image_loss`.
+    where [H,W]: the target's `off_edge`, or None for all pixels; clip: as for `image_loss`.
     """
     if clip and target.invalid is not None:  # values filled in at unknown pixels must be clipped too
         image = image.clamp(max=1)
     image, other = target.compared(image, other)
-    known_sum = target.off_edge_sum if where is target.off_edge else None
-    return image_loss_term(image, other, config.l1_weight, where, target.region, clip, known_sum)
+    known_sum = None if where is None else target.off_edge_sum
+    share = target.share if where is None else target.off_edge_share
+    return share * image_loss_term(image, other, config.l1_weight, where, clip, known_sum)
 
 
 def _rendered(depth: Tensor | None) -> Tensor:
@@ -204,4 +207,4 @@ def _silhouette(
     if target.alpha is None or not weight:
         return {}
     alpha, mask = target.compared(alpha, target.alpha)
-    return {f"{branch}.alpha": weight * silhouette_loss(alpha, mask, config.paper.alpha_loss, where)}
+    return {f"{branch}.alpha": weight * target.share * silhouette_loss(alpha, mask, config.paper.alpha_loss, where)}

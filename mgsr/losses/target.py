@@ -14,24 +14,25 @@ from mgsr.ops.pixels import covered
 
 @dataclass(frozen=True)
 class Target:
-    """One photograph, ready for the losses.
+    """One photograph, or a part of it, ready for the losses.
 
     color [H,W,3] float32 0..1: composited on the same background as the rendering.
     alpha [H,W] float32 0..1: None without masks.
-    camera: of the photograph.
-    region (y0, y1, x0, x1): the box of the photographic losses, ends excluded; None: the whole image.
+    camera: of the photograph, or of the part.
     invalid [P] int64: the flat indices (row x W + column) of invalid pixels; None if all pixels are valid.
     clipped [H,W,3] bool: where the light may have been brighter than the colour; None if that is unknown.
+    share: the target's share of the photograph's pixels.
     """
 
     color: Tensor
     alpha: Tensor | None
     camera: Camera
-    region: tuple[int, int, int, int] | None = None
     off_edge: Tensor | None = None  # [H,W] float32: 0 near the mask's outline, 1 elsewhere; None without masks
     off_edge_sum: float | None = None  # over all pixels, beside off_edge; None if not computed
+    off_edge_share: float = 1.0  # of the photograph's pixels away from the outline
     invalid: Tensor | None = None
     clipped: Tensor | None = None
+    share: float = 1.0
 
     def color_beside(self, rendered: Tensor) -> Tensor:
         """Return the photograph's colours [H,W,3] for a comparison with those of a rendering [H,W,3].

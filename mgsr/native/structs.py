@@ -209,7 +209,6 @@ class ImagePair(NamedTuple):
     mask [H,W]: or None.
     l1_weight: 0..1.
     clip: whether image values above 1 count as 1.
-    region: (y0, y1, x0, x1), ends excluded; image and target are equal outside.
     """
 
     image: Tensor
@@ -217,7 +216,6 @@ class ImagePair(NamedTuple):
     mask: Tensor | None
     l1_weight: float
     clip: bool
-    region: tuple[int, int, int, int]
 
 
 class DepthSurface(NamedTuple):

@@ -14,21 +14,18 @@ from mgsr.native.structs import ImagePair
 from mgsr.ops.arrays import plain
 from mgsr.ops.terms import Slope, Term, Total, needs_gradient, scalar
 
-Region = tuple[int, int, int, int]
-
 
 def image_loss(
     image: torch.Tensor,
     target: torch.Tensor,
     l1_weight: float = 0.8,
     mask: torch.Tensor | None = None,
-    region: Region | None = None,
 ) -> torch.Tensor:
     """Return the value [] of `image_loss_term`; gradients flow.
 
     image, target [H,W,3] and mask [H,W]: as in `image_loss_term`, as are the other arguments.
     """
-    return scalar(image_loss_term(image, target, l1_weight, mask, region))
+    return scalar(image_loss_term(image, target, l1_weight, mask))
 
 
 def image_loss_term(
@@ -36,7 +33,6 @@ def image_loss_term(
     target: torch.Tensor,
     l1_weight: float = 0.8,
     mask: torch.Tensor | None = None,
-    region: Region | None = None,
     clip: bool = False,
     mask_sum: float | None = None,
 ) -> Term:
@@ -50,26 +46,20 @@ def image_loss_term(
     clip: clip image values above 1 to 1, without gradient. Photographs clip, so where one is white, any brighter
     rendering is equally right.
     mask_sum: the mask's sum, if known, which saves a reduction on the GPU.
-    region: (y0, y1, x0, x1), ends excluded. The caller guarantees that image and target are equal outside, so only the
-    region's pixels are computed. The loss still covers the whole image; the gradient outside the region is zero.
 
     SSIM: window of 11 taps, sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2 (Wang et al. 2004). At equal pixels L1
     passes no gradient. A NaN pixel makes the loss NaN, and the gradient within 10 pixels of it. The result has the same
     bytes for any number of threads.
 
-    Raises TensorError for wrong shapes or dtypes, a weight outside 0..1, or a region that leaves the image.
+    Raises TensorError for wrong shapes or dtypes, or a weight outside 0..1.
     Source: method, "Render loss".
     """
-    sizes = check_tensors(image=(image, "H W 3"), target=(target, "H W 3"), mask=(mask, "? H W"))
+    check_tensors(image=(image, "H W 3"), target=(target, "H W 3"), mask=(mask, "? H W"))
     if not 0 <= l1_weight <= 1:
         raise TensorError(f"l1_weight: expected 0..1, got {l1_weight}")
-    whole = (0, sizes["H"], 0, sizes["W"])
-    y0, y1, x0, x1 = region or whole
-    if not (0 <= y0 <= y1 <= sizes["H"] and 0 <= x0 <= x1 <= sizes["W"]):
-        raise TensorError(f"region: expected (y0, y1, x0, x1) inside {sizes['H']} x {sizes['W']}, got {region}")
     if not image.requires_grad and target.requires_grad and not clip:
         image, target = target, image  # the loss is symmetric, and the kernel's first gradient is the image's
-    return _differentiated(image, target, l1_weight, clip, mask, mask_sum, (y0, y1, x0, x1), whole)
+    return _differentiated(image, target, l1_weight, clip, mask, mask_sum)
 
 
 def _differentiated(
@@ -79,28 +69,22 @@ def _differentiated(
     clip: bool,
     mask: torch.Tensor | None,
     mask_sum: float | None,
-    region: Region,
-    whole: Region,
 ) -> Term:
     launcher = launcher_for(image)
     of_image, of_target = needs_gradient(image, target)
-    # On the CPU, slopes cover the whole image, so they must be zero where the kernel writes nothing.
-    new = torch.empty if launcher is not None or region == whole else torch.zeros
-    v_image = new(image.shape, device=image.device) if of_image or of_target else None
-    v_target = new(image.shape, device=image.device) if of_target else None
+    v_image = torch.empty(image.shape, device=image.device) if of_image or of_target else None
+    v_target = torch.empty(image.shape, device=image.device) if of_target else None
     pair = ImagePair(
         image=plain(image),
         target=plain(target),
         mask=None if mask is None else plain(mask),
         l1_weight=l1_weight,
         clip=clip,
-        region=region,
     )
     sums: Total | Sums
     if launcher is None:
         sums = Total(*_image.image_loss(pair, v_image, v_target))
     else:
         sums = ImageKernels(launcher).image_loss(pair, v_image, v_target, mask_sum)
-    written = None if launcher is None or region == whole else region
     slopes = [(image, v_image)] * of_image + [(target, v_target)] * of_target
-    return Term(sums, tuple(Slope(each, v, region=written) for each, v in slopes if v is not None))
+    return Term(sums, tuple(Slope(each, v) for each, v in slopes if v is not None))

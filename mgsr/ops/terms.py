@@ -16,7 +16,7 @@ from torch import Tensor
 
 from mgsr.native import _terms
 from mgsr.native.cuda.launcher import launcher_for
-from mgsr.native.cuda.terms import Image, Part, Region, Sums, TermKernels
+from mgsr.native.cuda.terms import Image, Part, Sums, TermKernels
 from mgsr.ops.arrays import once_differentiable, plain
 
 
@@ -33,13 +33,11 @@ class Slope:
     """A term's derivative for one tensor of the graph.
 
     The derivative of the term's sum is factor * values, which has the image's shape or one number per pixel.
-    region (y0, y1, x0, x1), ends excluded: outside, the values are not read and the derivative is 0.
     """
 
     image: Tensor
     values: Tensor
     factor: float = 1.0
-    region: Region | None = None
 
 
 @dataclass(slots=True)
@@ -84,7 +82,7 @@ class _Evaluate(torch.autograd.Function):
         ctx.kernels, values, ctx.scales = _values(terms)
         slopes = [(number, slope) for number, term in enumerate(terms) for slope in term.slopes]
         ctx.shapes = [image.shape for image in images]
-        ctx.described = [(keys.index(id(each.image)), number, each.factor, each.region) for number, each in slopes]
+        ctx.described = [(keys.index(id(each.image)), number, each.factor) for number, each in slopes]
         ctx.save_for_backward(*(slope.values for _, slope in slopes))
         return values
 
@@ -93,8 +91,8 @@ class _Evaluate(torch.autograd.Function):
     def backward(ctx: Any, v_values: Tensor) -> tuple[Any, ...]:
         """Return the images' gradients, in their shapes, given those of the values [T]."""
         images = [Image(shape) for shape in ctx.shapes]
-        for (image, number, factor, region), values in zip(ctx.described, ctx.saved_tensors, strict=True):
-            images[image].parts.append(Part(values, number, factor, region))
+        for (image, number, factor), values in zip(ctx.described, ctx.saved_tensors, strict=True):
+            images[image].parts.append(Part(values, number, factor))
         if ctx.kernels is not None:
             return None, None, *ctx.kernels.gradients(images, v_values.contiguous(), ctx.scales)
         scales = [scale * v for scale, v in zip(ctx.scales, v_values.tolist(), strict=True)]
@@ -121,7 +119,6 @@ def _values(terms: Sequence[Term]) -> tuple[TermKernels | None, Tensor, Any]:
 
 def _added_up(image: Image, scales: list[float]) -> Tensor:
     """Return the gradient [...] of an image: the sum of its parts, each times the scale of its term."""
-    assert all(part.region is None for part in image.parts), "on the CPU, slopes cover whole images"
     gradient = torch.empty(image.shape)
     _terms.gradient(
         [plain(part.slopes) for part in image.parts],

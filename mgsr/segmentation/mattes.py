@@ -16,7 +16,7 @@ from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.background import BackgroundSources, Window, squared_difference
 from mgsr.segmentation.color_models import ColorModels
 from mgsr.segmentation.random_walker import random_walker
-from mgsr.training.views import bounding_region
+from mgsr.training.views import bounding_box
 
 
 @dataclass(frozen=True)
@@ -72,10 +72,9 @@ def matte(
     """
     nowhere = np.zeros(region.shape, bool)
     found = Matte(np.zeros(region.shape, np.float32), nowhere, nowhere.copy(), nowhere.copy())
-    bounds = bounding_region(region, options.margin)
-    if bounds is None:
+    window = bounding_box(region, options.margin)
+    if window is None:
         return found
-    window = slice(*bounds[:2]), slice(*bounds[2:])
     inside = region[window]
     background = sources.expected(view, window, inside)
     known, part = background.known, view.image[window] / np.float32(255)

@@ -163,14 +163,13 @@ def _first_reflection(config: Config, shiny: bool | None, views: int) -> tuple[R
 
 
 def _photographs(scene: Scene, behind: Color, config: Config, device: torch.device) -> _Photographs:
-    train, margin = config.train, config.train.crop_margin if _silhouettes_count(config) else None
+    train, margin = config.train, config.train.crop_margin
     views = prepare_views(scene.train, scene.masked, margin, train.surfels.edge_band, device)
-    shortest = min(min(view.camera.width, view.camera.height) for view in views)
+    shortest = min(min(view.whole) for view in views)
     if not train.warmup.coarse or shortest < train.warmup.coarse_side:
         return _Photographs(views, None, behind)
-    half = None if margin is None else -(-margin // 2)
     band = -(-train.surfels.edge_band // 2)
-    return _Photographs(views, prepare_views(scene.train, scene.masked, half, band, device, reduce=2), behind)
+    return _Photographs(views, prepare_views(scene.train, scene.masked, margin, band, device, reduce=2), behind)
 
 
 def _surfel_warmup(train_state: TrainState, photographs: _Photographs, last: Stage, config: Config) -> Stage:
@@ -322,11 +321,6 @@ def _measure(train_state: TrainState, branch: str, photographs: _Photographs) ->
     """Return a function that measures a branch's PSNR, dB, on the views held out of its warm-up."""
     held_out = photographs.views[photographs.trained_on :]
     return lambda: mean_psnr(train_state.picture(branch), held_out, photographs.behind)
-
-
-def _silhouettes_count(config: Config) -> bool:
-    """Return whether the alpha losses of both branches cover the pixels outside the masks' boxes."""
-    return config.train.surfels.alpha_weight > 0 and config.train.gaussians.alpha_weight > 0
 
 
 def _validation_views(config: Config, views: int) -> int:

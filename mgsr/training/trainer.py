@@ -187,7 +187,7 @@ class Trainer:
             for part in stage.trainables:
                 part.skip_step()
             return step.loss, False
-        self._update(stage, step, view.camera.width, view.camera.height, guard)
+        self._update(stage, step, view.whole, guard)
         guard.look_back(step.loss.values)
         if stage.convergence is None:
             return step.loss, False
@@ -195,8 +195,11 @@ class Trainer:
             step.loss.value.detach(), stage.iteration, stage.cycle.at_epoch_end
         )
 
-    def _update(self, stage: Stage, step: Step, width: int, height: int, guard: Guard) -> None:
-        """Step the optimisers and, where they are due, densify and reset."""
+    def _update(self, stage: Stage, step: Step, whole: tuple[int, int], guard: Guard) -> None:
+        """Step the optimisers and, where they are due, densify and reset.
+
+        whole: the width and height of the photograph of which the step rendered a part.
+        """
         step_trainables({part: stage.progress(part, stage.iteration) for part in stage.trainables}, guard.bad)
         for branch in stage.branches:
             first, last = stage.window(branch.densify)
@@ -204,7 +207,7 @@ class Trainer:
                 continue
             for render in step.renders:
                 if render.branch is branch:
-                    branch.gather(render.stats, width, height, render.weight, guard.bad)
+                    branch.gather(render.stats, *whole, render.weight, guard.bad)
             if stage.iteration % branch.densify.every == 0 and stage.iteration >= first:
                 stage.adapt(branch)
             reset = branch.densify.reset_every

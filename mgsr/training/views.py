@@ -24,14 +24,14 @@ MADE_BYTES = 1 << 30
 
 @dataclass(frozen=True)
 class TrainingView:
-    """One photograph as bytes, with the regions that its losses need.
+    """One photograph as bytes, or the part of it around the object, with the regions that its losses need.
 
-    Each iteration converts it to a target. Bytes share the scene's memory, whereas hundreds of large photographs as
-    floats would fill the memory. Flat indices are row x W + column.
+    Each iteration converts it to a target. Whole photographs as bytes share the scene's memory, whereas hundreds of
+    large ones as floats would fill the memory. Flat indices are row x W + column.
 
     image [H,W,3] uint8: straight colours.
     mask [H,W] uint8: None without masks.
-    region: the box of the photographic losses (see Target).
+    whole: the whole photograph's width and height, in pixels of this view.
     off_edge [H,W] bool: the pixels away from the mask's contour.
     covered [P] int64: the flat indices (row x W + column) of pixels that the mask touches; None without masks.
     invalid [P] int64: the flat indices of invalid pixels, where the mask is 0 and the image arbitrary; None if all
@@ -43,13 +43,27 @@ class TrainingView:
     camera: Camera
     image: Tensor
     mask: Tensor | None
-    region: tuple[int, int, int, int] | None = None
+    whole: tuple[int, int]
     off_edge: Tensor | None = None
     covered: Tensor | None = None
     invalid: Tensor | None = None
     irradiance: Tensor | None = None
     off_edge_sum: float | None = None  # pixels where off_edge is True
     white: Tensor | None = None
+
+    @property
+    def share(self) -> float:
+        """Return the view's share of the whole photograph's pixels."""
+        width, height = self.whole
+        return self.camera.width * self.camera.height / (width * height)
+
+    @property
+    def off_edge_share(self) -> float:
+        """Return the view's share of the whole photograph's pixels away from the mask's contour, which the view has."""
+        if self.off_edge_sum is None:
+            return 1.0
+        outside = self.whole[0] * self.whole[1] - self.camera.width * self.camera.height
+        return self.off_edge_sum / max(1.0, self.off_edge_sum + outside)
 
     def shading(self) -> Tensor | None:
         """Return `irradiance` as [H,W] in 0..1, for `render_gaussians`; None where no flash lit the view."""
@@ -59,11 +73,12 @@ class TrainingView:
         """Return the photograph on a background [3], for the losses."""
         clipped = None if self.white is None else self.image >= self.white
         if self.mask is None:
-            return Target(self.image / 255, None, self.camera, invalid=self.invalid, clipped=clipped)
+            return Target(self.image / 255, None, self.camera, invalid=self.invalid, clipped=clipped, share=self.share)
         if clipped is not None:
             clipped &= (self.mask > 127)[..., None]
         color, alpha, off_edge = composite(self.image, self.mask, behind, self.off_edge)
-        return Target(color, alpha, self.camera, self.region, off_edge, self.off_edge_sum, self.invalid, clipped)
+        edges = off_edge, self.off_edge_sum, self.off_edge_share
+        return Target(color, alpha, self.camera, *edges, self.invalid, clipped, self.share)
 
 
 def prepare_views(
@@ -77,8 +92,8 @@ def prepare_views(
     """Convert the views to tensors on a device; without `masked`, their alpha is ignored.
 
     edge_band: the half width, in pixels, of the strip around the masks' contours that `off_edge` leaves out.
-    margin: with masks, the photographic losses use only the mask's bounding box and this many pixels around it.
-    reduce: how many pixels along each side are averaged into one; edge_band and margin count the averaged pixels.
+    margin: with masks, only the mask's bounding box and this many pixels of the photograph around it are kept.
+    reduce: how many pixels along each side are averaged into one; edge_band counts the averaged pixels.
     """
     store = PixelStore(MADE_BYTES)
     return [_prepared(view, masked, margin, edge_band, device, reduce, store) for view in views]
@@ -95,29 +110,37 @@ def _prepared(
 ) -> TrainingView:
     if not masked:
         view = replace(view, alpha=None)
+    whole = -(-view.camera.width // reduce), -(-view.camera.height // reduce)
+    box = None if margin is None or view.alpha is None else bounding_box(view.alpha, margin)
+    if box is not None:
+        view = view.cropped(*box)
     if reduce > 1:
-        view = _held(_reduced(view, reduce), store)
+        view = _reduced(view, reduce)
+    if box is not None or reduce > 1:
+        view = _held(view, store)
     image = _moved(view.image, device)
     # The host finds the indices, so that it need not wait for a GPU.
     invalid = None if view.valid_mask is None else torch.from_numpy(np.flatnonzero(~view.valid_mask)).to(device)
     irradiance = None if view.irradiance is None else _moved(view.irradiance, device)
     white = None if view.white is None else torch.from_numpy(view.white).to(device)
     if view.alpha is None:
-        return TrainingView(view.name, view.camera, image, None, invalid=invalid, irradiance=irradiance, white=white)
+        return TrainingView(
+            view.name, view.camera, image, None, whole, invalid=invalid, irradiance=irradiance, white=white
+        )
     alpha = view.alpha if view.valid_mask is None else store.hold(np.where(view.valid_mask, view.alpha, np.uint8(0)))
     mask, covered = torch.from_numpy(alpha), torch.from_numpy(store.hold(np.flatnonzero(alpha)))
-    region = None if margin is None else bounding_region(alpha, margin)
     off_edge = None
     if edge_band:
         off_edge = torch.from_numpy(store.hold(away_from_contour(mask, edge_band, view.valid_mask).numpy()))
     off_edge_sum = None if off_edge is None else float(off_edge.sum())
-    mask_parts = (_moved(alpha, device), region, None if off_edge is None else off_edge.to(device), covered.to(device))
-    return TrainingView(view.name, view.camera, image, *mask_parts, invalid, irradiance, off_edge_sum, white)
+    regions = whole, None if off_edge is None else off_edge.to(device), covered.to(device), invalid
+    return TrainingView(view.name, view.camera, image, _moved(alpha, device), *regions, irradiance, off_edge_sum, white)
 
 
 def _held(view: View, store: PixelStore) -> View:
-    alpha = None if view.alpha is None else store.hold(view.alpha)
-    return replace(view, image=store.hold(view.image), alpha=alpha)
+    """Copy the view's image and alpha to dense arrays of the store."""
+    alpha = None if view.alpha is None else store.hold(np.ascontiguousarray(view.alpha))
+    return replace(view, image=store.hold(np.ascontiguousarray(view.image)), alpha=alpha)
 
 
 def _moved(pixels: np.ndarray, device: torch.device) -> Tensor:
@@ -163,17 +186,19 @@ def away_from_contour(mask: Tensor, band: int, valid: np.ndarray | None = None) 
     return off
 
 
-def bounding_region(alpha: np.ndarray, margin: int) -> tuple[int, int, int, int] | None:
-    """Return the bounding box (y0, y1, x0, x1) of an alpha image [H,W], with a margin of `margin` pixels.
+def bounding_box(alpha: np.ndarray, margin: int) -> tuple[slice, slice] | None:
+    """Return the rows and columns of the bounding box of an alpha image [H,W], with a margin of `margin` pixels.
 
-    Ends are excluded. The image's border limits the box. Returns None if the image covers nothing.
+    The image's border limits the box. Returns None if the image covers nothing.
     """
     rows, columns = np.flatnonzero(alpha.any(axis=1)), np.flatnonzero(alpha.any(axis=0))
     if not len(rows):
         return None
-    (y0, y1), (x0, x1) = (rows[0] - margin, rows[-1] + 1 + margin), (columns[0] - margin, columns[-1] + 1 + margin)
     height, width = alpha.shape
-    return max(0, int(y0)), min(height, int(y1)), max(0, int(x0)), min(width, int(x1))
+    return (
+        slice(max(0, int(rows[0]) - margin), min(height, int(rows[-1]) + 1 + margin)),
+        slice(max(0, int(columns[0]) - margin), min(width, int(columns[-1]) + 1 + margin)),
+    )
 
 
 def pick_background(backdrop: Backdrop, generator: torch.Generator) -> Color:

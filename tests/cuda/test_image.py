@@ -59,24 +59,6 @@ def test_one_gradient_alone(machine: Machine, wants: str) -> None:
 
 
 @on_each_machine
-@pytest.mark.parametrize("region", [(20, 31, 21, 44), (0, 33, 0, 20), (30, 40, 45, 50), (5, 6, 7, 8), (4, 4, 0, 9)])
-@pytest.mark.parametrize("masked", [False, True])
-def test_a_region_changes_nothing(machine: Machine, region: tuple[int, int, int, int], masked: bool) -> None:
-    image, target = pictures(40, 50)
-    y0, y1, x0, x1 = region
-    outside = torch.ones(40, 50, dtype=torch.bool)
-    outside[y0:y1, x0:x1] = False
-    image[outside] = target[outside]
-    mask = random_mask(40, 50) if masked else None
-    whole = run(machine, test_image_loss.gradients, image_loss, image, target, 0.8, mask)
-    cropped = run(machine, test_image_loss.gradients, image_loss, image, target, 0.8, mask, region)
-    torch.testing.assert_close(cropped[0], whole[0], **LOSS)
-    for a, b in zip(cropped[1:], whole[1:], strict=True):
-        assert y0 == y1 or (a[~outside] - b[~outside]).abs().max() <= 1e-5 * b.abs().max()
-        assert not a[outside].any()
-
-
-@on_each_machine
 def test_an_empty_mask_gives_zero(machine: Machine) -> None:
     image, target = pictures(9, 9)
     zeros = torch.zeros(9, 9)

@@ -147,8 +147,7 @@ def colors() -> list[Call]:
 
 def images() -> list[Call]:
     image, target = torch.rand(TRIPLE), torch.rand(TRIPLE)
-    region = (0, HEIGHT, 0, WIDTH)
-    pair = structs.ImagePair(image=image, target=target, mask=None, l1_weight=0.8, clip=False, region=region)
+    pair = structs.ImagePair(image=image, target=target, mask=None, l1_weight=0.8, clip=False)
     surface = structs.DepthSurface(depth=torch.rand(PLANE) + 1, alpha=None, camera=CAMERA)
     gradients = {"v_image": torch.empty(TRIPLE), "v_target": torch.empty(TRIPLE)}
     parameter = structs.AdamParameter(

@@ -93,23 +93,6 @@ def test_one_gradient_alone_equals_that_of_both(wants: str) -> None:
     assert_gradients_close(leaf.grad, both[1 if wants == "image" else 2].double())
 
 
-@pytest.mark.parametrize("region", [(20, 41, 31, 64), (0, 33, 0, 20), (60, 90, 70, 100), (5, 6, 7, 8)])
-@pytest.mark.parametrize("masked", [False, True])
-def test_a_region_changes_nothing_but_the_cost(region: tuple[int, int, int, int], masked: bool) -> None:
-    image, target = pictures(90, 100)
-    y0, y1, x0, x1 = region
-    outside = torch.ones(90, 100, dtype=torch.bool)
-    outside[y0:y1, x0:x1] = False
-    image[outside] = target[outside]
-    mask = random_mask(90, 100) if masked else None
-    whole = gradients(image_loss, image, target, 0.8, mask)
-    cropped = gradients(image_loss, image, target, 0.8, mask, region)
-    torch.testing.assert_close(cropped[0], whole[0], **LOSS)
-    for a, b in zip(cropped[1:], whole[1:], strict=True):
-        assert_gradients_close(a[~outside], b[~outside].double())
-        assert not a[outside].any()
-
-
 def test_same_bytes_for_any_thread_count() -> None:
     image, target = pictures(200, 300)
     results = []
@@ -144,13 +127,6 @@ def test_an_empty_mask_gives_zero() -> None:
     assert not v_image.any()
 
 
-def test_an_empty_region_gives_zero() -> None:
-    image, target = pictures(9, 9)
-    loss, v_image, _ = gradients(image_loss, image, target, 0.8, None, (4, 4, 0, 9))
-    assert float(loss) == 0
-    assert not v_image.any()
-
-
 def test_nan_reaches_the_loss_and_ten_pixels() -> None:
     image, target = pictures(40, 40)
     image[0, 0, 0] = torch.nan
@@ -176,5 +152,3 @@ def test_bad_arguments_are_named() -> None:
         image_loss(image, target, mask=torch.ones(9, 8))
     with pytest.raises(TensorError, match="l1_weight"):
         image_loss(image, target, 1.5)
-    with pytest.raises(TensorError, match="region"):
-        image_loss(image, target, region=(0, 10, 0, 9))

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from mgsr.config import PaperConfig, RatesConfig, StopRule, WarmupConfig, make_config
+from mgsr.config import PaperConfig, RatesConfig, StopRule, TrainConfig, WarmupConfig, make_config
 from mgsr.data.backdrop import WHITE, Backdrop
 from mgsr.training.convergence import EpochMeans, LossRange, Validation, make_convergence
 from mgsr.training.plan import make_plan
 from mgsr.training.schedule import rates_at, rest_scale, sh_degree_at
-from mgsr.training.views import ViewCycle, bounding_region, pick_background, prepare_views
+from mgsr.training.stages import Step, gaussians_alone, surfels_alone
+from mgsr.training.train_state import TrainState
+from mgsr.training.views import TrainingView, ViewCycle, bounding_box, pick_background, prepare_views
 from tests.optional import present
 from tests.training.ball import ball_points, ball_scene
 
@@ -58,12 +61,58 @@ def test_targets_are_composited(margin: int | None) -> None:
     assert view.alpha is not None
     alpha = view.alpha[..., None] / 255.0
     expected = view.image / 255.0 * alpha + (1 - alpha) * [0.2, 0.4, 0.6]
-    assert np.allclose(target.color.numpy(), expected, atol=1e-6)
+    box = (slice(None), slice(None)) if margin is None else present(bounding_box(view.alpha, margin))
+    assert np.allclose(target.color.numpy(), expected[box], atol=1e-6)
+
+
+def test_a_part_keeps_its_rays_and_regions() -> None:
+    view = ball_scene().train[0]
+    (whole,) = prepare_views([view], masked=True, edge_band=2)
+    (part,) = prepare_views([view], masked=True, margin=3, edge_band=2)
+    rows, columns = present(bounding_box(present(view.alpha), 3))
+    assert part.whole == whole.whole == (48, 48)
+    assert part.share == (rows.stop - rows.start) * (columns.stop - columns.start) / 48**2 < 0.7
+    corner = np.array([[0.3, 0.2, 0.1]])
+    shifted = view.camera.project(corner)[0] - [columns.start, rows.start]
+    assert np.allclose(part.camera.project(corner)[0], shifted)
+    assert torch.equal(present(part.off_edge), present(whole.off_edge)[rows, columns])
+    alpha = present(view.alpha)[rows, columns]
+    assert np.array_equal(present(part.covered).numpy(), np.flatnonzero(alpha))
+
+
+@pytest.mark.parametrize("branch", ["surfels", "gaussians"])
+def test_a_part_costs_what_its_photograph_costs(branch: str) -> None:
+    """Check that loss and gradients of the part around the object are those of the whole photograph."""
+    config, scene = make_config("draft", "mgsr", 0), ball_scene(64)
+    wide, tight = (prepare_views(scene.train[:1], masked=True, margin=margin, edge_band=2)[0] for margin in (None, 10))
+    assert tight.share < 0.95
+
+    def step(view: TrainingView) -> tuple[float, dict[str, torch.Tensor], torch.Tensor]:
+        state = make_plan(scene, ball_points(3000), config).train_state
+        found: Step = _compute(branch, state, config.train)(view, (0.0, 0.0, 0.0), 0)
+        found.loss.backward()
+        model = present(getattr(state, branch)).model
+        gradients = {name: value.grad for name, value in model.parameters().items() if value.grad is not None}
+        return found.loss.value.item(), gradients, found.renders[0].stats.v_means2d
+
+    loss, gradients, screen = step(wide)
+    part_loss, part_gradients, part_screen = step(tight)
+    assert part_loss == pytest.approx(loss, rel=1e-5)
+    assert gradients.keys() == part_gradients.keys() and "means" in gradients
+    for name, gradient in gradients.items():
+        assert (part_gradients[name] - gradient).abs().max() <= 1e-3 * gradient.abs().max() + 1e-9, name
+    assert (part_screen - screen).abs().max() <= 1e-3 * screen.abs().max()
+
+
+def _compute(branch: str, state: TrainState, train: TrainConfig) -> Callable[..., Step]:
+    if branch == "surfels":
+        return surfels_alone(present(state.surfels), train, warming=False)
+    return gaussians_alone(present(state.gaussians), train, warming=False)
 
 
 def test_photographs_are_not_copied() -> None:
     view = ball_scene().train[0]
-    (prepared,) = prepare_views([view], masked=True, margin=2, edge_band=1)
+    (prepared,) = prepare_views([view], masked=True, edge_band=1)
     assert np.shares_memory(prepared.image.numpy(), view.image)
     assert prepared.mask is not None
     assert np.shares_memory(prepared.mask.numpy(), view.alpha)
@@ -115,12 +164,12 @@ def test_warm_ups_begin_with_small_views_if_photographs_are_large() -> None:
     assert stage.next_view().camera.width == 47
 
 
-def test_region_bounds_the_mask() -> None:
+def test_a_box_bounds_the_mask() -> None:
     alpha = np.zeros((20, 30), dtype=np.uint8)
     alpha[5:8, 10:25] = 1
-    assert bounding_region(alpha, 2) == (3, 10, 8, 27)
-    assert bounding_region(alpha, 100) == (0, 20, 0, 30)
-    assert bounding_region(0 * alpha, 2) is None
+    assert bounding_box(alpha, 2) == (slice(3, 10), slice(8, 27))
+    assert bounding_box(alpha, 100) == (slice(0, 20), slice(0, 30))
+    assert bounding_box(0 * alpha, 2) is None
 
 
 def test_backgrounds() -> None:

@@ -42,9 +42,6 @@ std::pair<double, double> image_loss(nb::handle pair, nb::handle v_image, nb::ha
   p.height = int(image.shape(0)), p.width = int(image.shape(1));
   p.image = image.data(), p.target = target.data(), p.mask = pointer_or_null(mask);
   p.l1_weight = fields.value<float>("l1_weight"), p.clip = fields.value<bool>("clip");
-  std::tie(p.region.y0, p.region.y1, p.region.x0, p.region.x1) = fields.value<std::tuple<int, int, int, int>>("region");
-  expect(p.region.y0 >= 0 && p.region.x0 >= 0 && p.region.y1 <= p.height && p.region.x1 <= p.width,
-         "region: expected rows and columns inside the image");
   p.v_image = pointer_or_null(to_image), p.v_target = pointer_or_null(to_target);
   nb::gil_scoped_release release;
   const ImageLossSums sums = choice()->loss(p);

@@ -15,15 +15,6 @@ from mgsr.native.structs import DepthSurface, ImagePair
 
 PIXEL_THREADS = 256
 LOSS_WIDTH, LOSS_HEIGHT, LOSS_THREADS = 32, 16, 512
-SSIM_RADIUS = 5
-
-RegionTuple = tuple[int, int, int, int]
-
-
-class Region(ctypes.Structure):
-    """The struct Region of kernels/image/loss_cuda.h."""
-
-    _fields_ = tuple((name, Int) for name in ("y0", "y1", "x0", "x1"))
 
 
 class LossParams(ctypes.Structure):
@@ -33,8 +24,6 @@ class LossParams(ctypes.Structure):
         *pointers("image", "target", "mask"),
         ("l1_weight", Float),
         ("clip", Int),
-        ("region", Region),
-        ("maps", Region),
         *pointers("derivatives"),
         ("derivative_count", Int),
         *pointers("sums", "v_image", "v_target"),
@@ -74,23 +63,21 @@ class ImageKernels:
     ) -> Sums:
         """Return the mean loss of two images [H,W,3].
 
-        Writes the gradients v_image and v_target [H,W,3] of the loss's sum inside the region; None if not needed.
+        Writes the gradients v_image and v_target [H,W,3] of the loss's sum; None if not needed.
         """
-        image, target, mask, l1_weight, clip, region = pair
+        image, target, mask, l1_weight, clip = pair
         height, width = image.shape[:2]
-        maps = _grown(region, height, width)
         count = 0 if v_image is None else 3 if v_target is None else 4
-        derivatives = image.new_empty(count, 3, maps[1] - maps[0], maps[3] - maps[2]) if count else None
-        blocks = _loss_blocks(maps)
+        derivatives = image.new_empty(count, 3, height, width) if count else None
+        blocks = -(-height // LOSS_HEIGHT) * -(-width // LOSS_WIDTH)
         sums = image.new_empty(blocks, 2, dtype=torch.float64)
         params = LossParams(
             *(height, width, pointer(image), pointer(target), pointer(mask), l1_weight, clip),
-            *(Region(*region), Region(*maps)),
             *(pointer(derivatives), count, pointer(sums), pointer(v_image), pointer(v_target)),
         )
         self._launcher.launch("image", "image_loss", blocks, LOSS_THREADS, params)
         if v_image is not None:
-            self._launcher.launch("image", "image_loss_gradient", _loss_blocks(region), LOSS_THREADS, params)
+            self._launcher.launch("image", "image_loss_gradient", blocks, LOSS_THREADS, params)
         if mask is None:
             return Sums(sums, 3.0 * height * width)
         if mask_sum is not None:
@@ -145,17 +132,3 @@ def _normals_params(surface: DepthSurface, covered: Tensor | None, arrays: tuple
     world_from_cam = (Float * 9)(*camera.cam_from_world[:3, :3].T.ravel().tolist())
     inputs = (*depth.shape, *addresses(depth, alpha, covered), *intrinsics(camera), world_from_cam)
     return NormalsParams(*inputs, *addresses(*arrays))
-
-
-def _grown(region: RegionTuple, height: int, width: int) -> RegionTuple:
-    """Return the region grown by the SSIM window's radius, inside the image; an empty region stays empty."""
-    y0, y1, x0, x1 = region
-    if y0 >= y1 or x0 >= x1:
-        return (0, 0, 0, 0)
-    rows = (max(y0 - SSIM_RADIUS, 0), min(y1 + SSIM_RADIUS, height))
-    return (*rows, max(x0 - SSIM_RADIUS, 0), min(x1 + SSIM_RADIUS, width))
-
-
-def _loss_blocks(region: RegionTuple) -> int:
-    y0, y1, x0, x1 = region
-    return -(-(y1 - y0) // LOSS_HEIGHT) * -(-(x1 - x0) // LOSS_WIDTH)

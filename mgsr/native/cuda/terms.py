@@ -16,8 +16,6 @@ from mgsr.native.structs import CompositedImage, ImageInBytes, WeightedDifferenc
 THREADS, GRADIENT_FLOATS = 256, 1024
 MOST_TERMS, MOST_IMAGES, MOST_PARTS = 24, 16, 4
 
-Region = tuple[int, int, int, int]
-
 
 class TargetParams(ctypes.Structure):
     """The struct TargetParams of kernels/terms/, as are the structs below."""
@@ -76,7 +74,7 @@ class TotalsParams(ctypes.Structure):
 class GradientPart(ctypes.Structure):
     _fields_ = (
         ("slopes", Pointer),
-        *((name, Int) for name in ("term", "channels", "y0", "y1", "x0", "x1")),
+        *((name, Int) for name in ("term", "channels")),
         ("factor", Float),
     )
 
@@ -85,7 +83,7 @@ class ImageGradient(ctypes.Structure):
     _fields_ = (
         ("out", Pointer),
         ("count", Long),
-        *((name, Int) for name in ("width", "channels", "parts", "end")),
+        *((name, Int) for name in ("channels", "parts", "end")),
         ("part", GradientPart * MOST_PARTS),
     )
 
@@ -110,12 +108,11 @@ class Sums:
 
 @dataclass(slots=True)
 class Part:
-    """A term's part of an image's gradient: factor * slopes, only inside the region. term: the term's number."""
+    """A term's part of an image's gradient: factor * slopes. term: the term's number."""
 
     slopes: Tensor
     term: int
     factor: float
-    region: Region | None
 
 
 @dataclass(slots=True)
@@ -234,20 +231,10 @@ def _at_most(parts: int, image: Image) -> list[Image]:
     return [Image(image.shape, image.parts[begin : begin + parts]) for begin in range(0, len(image.parts), parts)]
 
 
-def _as_image(shape: torch.Size) -> tuple[int, int, int]:
-    """Return height, width and channels; any other tensor counts as one row of numbers."""
-    if len(shape) == 3:
-        return shape[0], shape[1], shape[2]
-    return (shape[0], shape[1], 1) if len(shape) == 2 else (1, shape.numel(), 1)
-
-
 def _describe(entry: ImageGradient, image: Image, out: Tensor, end: int) -> None:
-    height, width, channels = _as_image(image.shape)
-    count = height * width * channels
-    entry.out, entry.count, entry.width, entry.channels = out.data_ptr(), count, width, channels
+    count, channels = image.shape.numel(), image.shape[2] if len(image.shape) == 3 else 1
+    entry.out, entry.count, entry.channels = out.data_ptr(), count, channels
     entry.parts, entry.end = len(image.parts), end
-    whole = (0, height, 0, width)
     for index, part in enumerate(image.parts):
         own = channels if part.slopes.numel() == count else 1
-        region = part.region or whole
-        entry.part[index] = (pointer(part.slopes), part.term, own, *region, part.factor)
+        entry.part[index] = (pointer(part.slopes), part.term, own, part.factor)

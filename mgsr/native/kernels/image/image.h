@@ -5,11 +5,6 @@
 
 namespace mgsr {
 
-// Rows y0..y1 and columns x0..x1 (ends excluded).
-struct Region {
-  int y0, y1, x0, x1;
-};
-
 struct ImageLossParams {
   int height = 0, width = 0;
   const float* image = nullptr;   // [height, width, 3]
@@ -17,8 +12,7 @@ struct ImageLossParams {
   const float* mask = nullptr;    // [height, width] weights, or null for 1 everywhere
   float l1_weight = 0;
   bool clip = false;              // whether image values above 1 count as 1, without gradient
-  Region region = {};             // outside, image and target are equal
-  float* v_image = nullptr;       // [height, width, 3], written inside the region; or null
+  float* v_image = nullptr;       // [height, width, 3], or null
   float* v_target = nullptr;      // the same; requires v_image
 };
 

@@ -1,10 +1,10 @@
-// Fused L1 + SSIM with its gradient. The region is cut into tiles. Each tile is processed once from top to bottom, and
+// Fused L1 + SSIM with its gradient. The image is cut into tiles. Each tile is processed once from top to bottom, and
 // each input row goes through steps that follow each other at a distance of five rows:
 //   input row -> moments filtered along the row -> filtered down the column, SSIM and its derivatives (the map row)
 //   -> derivatives filtered along the row -> filtered down the column: the gradient row.
 // Two rings of 16 rows hold the intermediate rows, and fit the second-level cache. Pixels stay interleaved, so the next
-// pixel is 3 floats further. Tiles depend only on the region, and their sums are added in order, so any number of
-// threads gives the same bytes.
+// pixel is 3 floats further. Tiles depend only on the image's size, and their sums are added in order, so any number
+// of threads gives the same bytes.
 #pragma once
 
 #include <algorithm>
@@ -59,14 +59,16 @@ struct Ring {
   void clear(int y) const { std::fill_n(row(y, 0), channels * stride, 0.0f); }
 };
 
+// Rows y0..y1 and columns x0..x1 (ends excluded).
+struct Tile {
+  int y0, y1, x0, x1;
+};
+
 // Derivs: the number of derivative maps for the gradient: 0 for none, 3 for the image, 4 for the target too.
 template <int Derivs>
 class LossTile {
  public:
-  // tile: the region in which the gradient is written. counted: the region over which SSIM is summed, which extends up
-  // to 5 pixels past the edge. maps: the region in which SSIM can differ from 1.
-  LossTile(const ImageLossParams& p, const Region& tile, const Region& counted, const Region& maps)
-      : p_(p), tile_(tile), counted_(counted), maps_(maps), columns_(tile.x1 - tile.x0) {
+  LossTile(const ImageLossParams& p, const Tile& tile) : p_(p), tile_(tile), columns_(tile.x1 - tile.x0) {
     stride_ = (3 * (columns_ + 4 * kRadius) + 2 * kWidth + 15) / 16 * 16;
     constexpr int kRows = 2 * (kMoments + Derivs + 2);
     static thread_local std::vector<float> scratch;
@@ -113,10 +115,10 @@ class LossTile {
     for (int i = 0; i < 3 * columns; ++i) out[i] = out[i] > 1.0f ? 1.0f : out[i];
   }
 
-  // Loads the weights of `pixels` pixels of row y from column x on, with zeros outside `inside`.
-  void load_weights(int y, int x, int pixels, const Region& inside, float* out) const {
-    const bool row_inside = y >= inside.y0 && y < inside.y1;
-    const int begin = std::max(x, inside.x0), end = std::min(x + pixels, inside.x1);
+  // Loads the weights of `pixels` pixels of row y from column x on, with zeros outside the image.
+  void load_weights(int y, int x, int pixels, float* out) const {
+    const bool row_inside = y >= 0 && y < p_.height;
+    const int begin = std::max(x, 0), end = std::min(x + pixels, p_.width);
     if (!row_inside || x < begin || end < x + pixels) std::fill_n(out, size_t(pixels) * 3, 0.0f);
     if (!row_inside || begin >= end) return;
     if (!p_.mask) return void(std::fill_n(out + 3 * (begin - x), size_t(end - begin) * 3, 1.0f));
@@ -142,7 +144,7 @@ class LossTile {
 
   void add_maps(int y) {
     const int left = tile_.x0 - kRadius, pixels = columns_ + 2 * kRadius;
-    for (int r = 0; r < 2; ++r) load_weights(y + r, left, pixels, maps_, rows_[r].weights);
+    for (int r = 0; r < 2; ++r) load_weights(y + r, left, pixels, rows_[r].weights);
     const float* windows[kMoments][kTaps + 1];
     for (int m = 0; m < kMoments; ++m) moments_.window(y, m, windows[m]);
     for (int i = 0; i < 3 * pixels; i += kWidth) {
@@ -153,7 +155,7 @@ class LossTile {
       filter_down(windows[3], i, product);
       for (int r = 0; r < 2; ++r) store_map({a[r], b[r], squares[r], product[r]}, i, rows_[r]);
     }
-    for (int r = 0; r < 2; ++r) finish_map(y + r, left, rows_[r]);
+    for (int r = 0; r < 2; ++r) finish_map(y + r, rows_[r]);
   }
 
   void store_map(const SsimMoments<vfloat>& m, int i, const RowBuffers& row) const {
@@ -169,9 +171,8 @@ class LossTile {
     if constexpr (Derivs > 3) store(row.derivs + 3 * stride_ + i, v.b);
   }
 
-  void finish_map(int y, int left, const RowBuffers& row) {
-    if (y >= counted_.y0 && y < counted_.y1)
-      ssim_sum_ += sum_floats(row.losses + 3 * (counted_.x0 - left), 3 * (counted_.x1 - counted_.x0));
+  void finish_map(int y, const RowBuffers& row) {
+    if (y >= tile_.y0 && y < tile_.y1) ssim_sum_ += sum_floats(row.losses + 3 * kRadius, 3 * columns_);
     for (int d = 0; d < Derivs; ++d) filter_along(row.derivs + d * stride_, derivs_.row(y, d), 3 * columns_);
   }
 
@@ -189,7 +190,7 @@ class LossTile {
   }
 
   void finish_gradient(int y, const RowBuffers& row) {
-    load_weights(y, tile_.x0, columns_, tile_, row.weights);
+    load_weights(y, tile_.x0, columns_, row.weights);
     float *a = row.input, *b = a + stride_, *v_a = b + stride_, *v_b = v_a + stride_;
     copy_image(y, tile_.x0, columns_, a);
     copy_pixels(p_.target, y, tile_.x0, columns_, b);
@@ -216,7 +217,7 @@ class LossTile {
   }
 
   const ImageLossParams& p_;
-  Region tile_, counted_, maps_;
+  Tile tile_;
   int columns_, stride_;
   Ring moments_, derivs_;
   RowBuffers rows_[2];
@@ -231,29 +232,21 @@ double weight_sum(const ImageLossParams& p) {
   return 3.0 * (((lanes[0] + lanes[1]) + (lanes[2] + lanes[3])) + ((lanes[4] + lanes[5]) + (lanes[6] + lanes[7])));
 }
 
-double tile_loss(const ImageLossParams& p, const Region& tile, const Region& counted, const Region& maps) {
-  if (p.v_target) return LossTile<4>(p, tile, counted, maps).run();
-  if (p.v_image) return LossTile<3>(p, tile, counted, maps).run();
-  return LossTile<0>(p, tile, counted, maps).run();
+double tile_loss(const ImageLossParams& p, const Tile& tile) {
+  if (p.v_target) return LossTile<4>(p, tile).run();
+  if (p.v_image) return LossTile<3>(p, tile).run();
+  return LossTile<0>(p, tile).run();
 }
 
 ImageLossSums image_loss(const ImageLossParams& p) {
-  const Region& r = p.region;
   ImageLossSums sums;
   sums.weight = weight_sum(p);
-  if (r.y0 >= r.y1 || r.x0 >= r.x1) return sums;
-  // Windows extend past the region, so the SSIM map differs from 1 there too.
-  const Region maps = {std::max(r.y0 - kRadius, 0), std::min(r.y1 + kRadius, p.height), std::max(r.x0 - kRadius, 0),
-                       std::min(r.x1 + kRadius, p.width)};
-  const int bands = (r.y1 - r.y0 + kTileRows - 1) / kTileRows, strips = (r.x1 - r.x0 + kTileColumns - 1) / kTileColumns;
+  const int bands = (p.height + kTileRows - 1) / kTileRows, strips = (p.width + kTileColumns - 1) / kTileColumns;
   std::vector<double> totals(size_t(bands) * strips);
   ThreadPool::instance().run(bands * strips, [&](int t) {
     const int band = t / strips, strip = t % strips;
-    const Region tile = {cut(r.y0, r.y1, band, bands), cut(r.y0, r.y1, band + 1, bands),
-                         cut(r.x0, r.x1, strip, strips), cut(r.x0, r.x1, strip + 1, strips)};
-    const Region counted = {band == 0 ? maps.y0 : tile.y0, band == bands - 1 ? maps.y1 : tile.y1,
-                            strip == 0 ? maps.x0 : tile.x0, strip == strips - 1 ? maps.x1 : tile.x1};
-    totals[size_t(t)] = tile_loss(p, tile, counted, maps);
+    totals[size_t(t)] = tile_loss(p, {cut(p.height, band, bands), cut(p.height, band + 1, bands),
+                                      cut(p.width, strip, strips), cut(p.width, strip + 1, strips)});
   });
   for (double total : totals) sums.total += total;
   return sums;

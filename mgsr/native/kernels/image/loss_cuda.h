@@ -13,35 +13,29 @@ constexpr int kLossWidth = 32, kLossHeight = 16, kLossThreads = kLossWidth * kLo
 constexpr int kHaloWidth = kLossWidth + 2 * kSsimRadius, kHaloHeight = kLossHeight + 2 * kSsimRadius;
 constexpr int kMoments = 4;  // a, b, a^2 + b^2, a b
 
-// Rows y0..y1 and columns x0..x1 (ends excluded).
-struct Region {
-  int y0, y1, x0, x1;
-};
-
 struct ImageLossParams {
   int height, width;
   const float *image, *target;  // [height, width, 3]
   const float* mask;            // [height, width] weights, or null for 1 everywhere
   float l1_weight;
   int clip;                     // 1 if image values above 1 count as 1, without gradient
-  Region region;                // outside, image and target are equal
-  Region maps;                  // where SSIM can differ from 1: the region and 5 pixels more, inside the image
-  float* derivatives;           // [3 or 4, 3, maps' height, maps' width] to a, a^2 + b^2, a b and b; or null
+  float* derivatives;           // [3 or 4, 3, height, width] to a, a^2 + b^2, a b and b; or null
   int derivative_count;         // 0 without derivatives, 3 for the image's gradient, 4 for the target's too
   PartialSums* sums;            // [blocks]
-  float *v_image, *v_target;    // [height, width, 3], written inside the region; or null
+  float *v_image, *v_target;    // [height, width, 3], or null
 };
 
-// The pixel of a thread in the image. Blocks cover a region row by row.
+// The pixel of a thread in the image. Blocks cover the image row by row.
 struct LossPixel {
   int x0, y0, x, y;  // the block's corner, and the pixel
+  bool inside;       // whether the image has the pixel
 
-  __device__ explicit LossPixel(const Region& region) {
-    const int across = (region.x1 - region.x0 + kLossWidth - 1) / kLossWidth;
-    x0 = region.x0 + int(blockIdx.x) % across * kLossWidth, y0 = region.y0 + int(blockIdx.x) / across * kLossHeight;
+  __device__ explicit LossPixel(const ImageLossParams& p) {
+    const int across = (p.width + kLossWidth - 1) / kLossWidth;
+    x0 = int(blockIdx.x) % across * kLossWidth, y0 = int(blockIdx.x) / across * kLossHeight;
     x = x0 + int(threadIdx.x) % kLossWidth, y = y0 + int(threadIdx.x) / kLossWidth;
+    inside = x < p.width && y < p.height;
   }
-  __device__ bool inside(const Region& region) const { return x < region.x1 && y < region.y1 && x >= region.x0 && y >= region.y0; }
 };
 
 __device__ inline float ssim_tap(int j) { return kSsimTaps[j <= kSsimRadius ? j : 2 * kSsimRadius - j]; }
@@ -91,29 +85,27 @@ __device__ inline void load_halo(const ImageLossParams& p, const LossPixel& pixe
 
 // Returns the address of a pixel in the map of one derivative and channel.
 __device__ inline float* map_at(const ImageLossParams& p, int derivative, int channel, int x, int y) {
-  const int width = p.maps.x1 - p.maps.x0, height = p.maps.y1 - p.maps.y0;
-  return p.derivatives + ((int64_t(derivative) * 3 + channel) * height + (y - p.maps.y0)) * width + (x - p.maps.x0);
+  return p.derivatives + ((int64_t(derivative) * 3 + channel) * p.height + y) * p.width + x;
 }
 
 // Returns one channel's loss at the thread's pixel, and writes its derivatives to the maps.
 __device__ inline double channel_loss(const ImageLossParams& p, const LossPixel& pixel, int channel, const FilteredRows<kMoments>& rows,
                                       float weight) {
   const SsimMoments<float> m = {rows.down(0), rows.down(1), rows.down(2), rows.down(3)};
-  if (!pixel.inside(p.maps)) return 0.0;
+  if (!pixel.inside) return 0.0;
   SsimMoments<float> v;
   const float value = ssim_vjp(m, -weight, v), parts[4] = {v.a, v.squares, v.product, v.b};
   for (int d = 0; d < p.derivative_count; ++d) *map_at(p, d, channel, pixel.x, pixel.y) = parts[d];
   const int64_t at = (int64_t(pixel.y) * p.width + pixel.x) * 3 + channel;
-  const float l1 = pixel.inside(p.region) ? p.l1_weight * fabsf(compared(p, at) - p.target[at]) : 0.0f;
+  const float l1 = p.l1_weight * fabsf(compared(p, at) - p.target[at]);
   return double(weight) * (double(1.0f - p.l1_weight) * double(1.0f - value) + double(l1));
 }
 
 __device__ inline void image_loss(const ImageLossParams& p) {
   __shared__ float halo[2][kHaloHeight][kHaloWidth];
   __shared__ FilteredRows<kMoments> rows;
-  const LossPixel pixel(p.maps);
-  const bool inside = pixel.inside(p.maps);
-  const float weight = !inside ? 0.0f : p.mask ? p.mask[int64_t(pixel.y) * p.width + pixel.x] : 1.0f;
+  const LossPixel pixel(p);
+  const float weight = !pixel.inside ? 0.0f : p.mask ? p.mask[int64_t(pixel.y) * p.width + pixel.x] : 1.0f;
   double total = 0.0;
   for (int channel = 0; channel < 3; ++channel) {
     load_halo(p, pixel, channel, halo);
@@ -131,7 +123,7 @@ __device__ inline void filter_map(const ImageLossParams& p, const LossPixel& pix
                                   float (*halo)[kHaloWidth], FilteredRows<1>& rows) {
   for (int i = threadIdx.x; i < kHaloHeight * kHaloWidth; i += kLossThreads) {
     const int x = pixel.x0 + i % kHaloWidth - kSsimRadius, y = pixel.y0 + i / kHaloWidth - kSsimRadius;
-    const bool inside = x >= p.maps.x0 && y >= p.maps.y0 && x < p.maps.x1 && y < p.maps.y1;
+    const bool inside = x >= 0 && y >= 0 && x < p.width && y < p.height;
     halo[i / kHaloWidth][i % kHaloWidth] = inside ? *map_at(p, derivative, channel, x, y) : 0.0f;
   }
   __syncthreads();
@@ -157,7 +149,7 @@ __device__ inline void write_gradient(const ImageLossParams& p, const LossPixel&
 __device__ inline void image_loss_gradient(const ImageLossParams& p) {
   __shared__ float halo[kHaloHeight][kHaloWidth];
   __shared__ FilteredRows<1> rows;
-  const LossPixel pixel(p.region);
+  const LossPixel pixel(p);
   for (int channel = 0; channel < 3; ++channel) {
     float derivatives[4] = {};
     for (int d = 0; d < p.derivative_count; ++d) {
@@ -165,7 +157,7 @@ __device__ inline void image_loss_gradient(const ImageLossParams& p) {
       derivatives[d] = rows.down(0);
       __syncthreads();
     }
-    if (pixel.inside(p.region)) write_gradient(p, pixel, channel, derivatives);
+    if (pixel.inside) write_gradient(p, pixel, channel, derivatives);
   }
 }
 

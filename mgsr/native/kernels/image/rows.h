@@ -7,7 +7,7 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-inline int cut(int begin, int end, int index, int count) { return begin + int(int64_t(end - begin) * index / count); }
+inline int cut(int size, int index, int count) { return int(int64_t(size) * index / count); }
 
 }  // namespace
 }  // namespace MGSR_ISA

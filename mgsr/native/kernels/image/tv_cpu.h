@@ -108,7 +108,7 @@ TvSums tv(const TvParams& p) {
   const int bands = (p.height + kTvBandRows - 1) / kTvBandRows;
   std::vector<TvSums> parts(static_cast<size_t>(bands));
   ThreadPool::instance().run(bands, [&](int b) {
-    parts[size_t(b)] = TvBand(p, cut(0, p.height, b, bands), cut(0, p.height, b + 1, bands)).run();
+    parts[size_t(b)] = TvBand(p, cut(p.height, b, bands), cut(p.height, b + 1, bands)).run();
   });
   TvSums sums;
   for (const TvSums& part : parts) sums.total += part.total, sums.pairs += part.pairs;

@@ -36,19 +36,18 @@ __device__ inline void find_value(const TotalsParams& p) {
   p.values[blockIdx.x] = float(all.total * scale), p.scales[blockIdx.x] = float(scale);
 }
 
-// The contribution of one term to an image's gradient: factor * slopes in a region, times the term's scale and the
-// gradient of the term.
+// The contribution of one term to an image's gradient: factor * slopes, times the term's scale and the gradient of the
+// term.
 struct GradientPart {
   const float* slopes;  // the shape of the image, or one number per pixel
   int term, channels;
-  int y0, y1, x0, x1;
   float factor;
 };
 
 struct ImageGradient {
   float* out;
   int64_t count;
-  int width, channels, parts, end;  // end: the first block after those of the image
+  int channels, parts, end;  // end: the first block after those of the image
   GradientPart part[kMostParts];
 };
 
@@ -61,11 +60,9 @@ struct GradientsParams {
 
 __device__ inline float gradient_at(const GradientsParams& p, const ImageGradient& image, int64_t i) {
   const int64_t pixel = i / image.channels;
-  const int x = int(pixel % image.width), y = int(pixel / image.width);
   float sum = 0.0f;
   for (int k = 0; k < image.parts; ++k) {
     const GradientPart& part = image.part[k];
-    if (x < part.x0 || x >= part.x1 || y < part.y0 || y >= part.y1) continue;
     const float scale = part.factor * p.scales[part.term] * p.v_values[part.term];
     sum += scale * part.slopes[part.channels == image.channels ? i : pixel];
   }

@@ -1,4 +1,4 @@
-"""Parallel work on several cores, the same for every view; and torch kept to one."""
+"""Parallel work on several cores, the same for every view; and libraries kept to one thread."""
 
 from __future__ import annotations
 
@@ -50,3 +50,16 @@ def one_torch_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+@contextmanager
+def one_library_thread() -> Iterator[None]:
+    """Let torch, NumPy and SciPy use one thread inside the block, and as many as before outside.
+
+    After each product of matrices, the idle threads of OpenBLAS spin on cores that others use, for up to 30 ms.
+    """
+    import scipy.linalg  # noqa: F401  # loads SciPy's BLAS, which is not NumPy's
+    from threadpoolctl import threadpool_limits  # imported here, because training needs no threadpoolctl
+
+    with one_torch_thread(), threadpool_limits(1, "blas"):
+        yield

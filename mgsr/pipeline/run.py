@@ -12,6 +12,7 @@ from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.metrics.truth import TrueSurface
+from mgsr.parallel import one_library_thread
 from mgsr.pipeline import result_files
 from mgsr.pipeline.device import pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
@@ -32,6 +33,7 @@ from mgsr.training.progress import TrainResult
 from mgsr.training.run import Training
 
 
+@one_library_thread()
 def run_scene(
     given: Path | Scene,
     out: Path,

@@ -8,6 +8,7 @@ from typing import Any
 from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.mesh.surface import ReconstructedMesh
+from mgsr.parallel import one_library_thread
 from mgsr.pipeline.device import pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
 from mgsr.pipeline.meshing import make_mesh, make_textured
@@ -30,6 +31,7 @@ from mgsr.report.data import finite
 from mgsr.start.starting_points import starting_points
 
 
+@one_library_thread()
 def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> ReconstructedMesh:
     """Extract the surface from the splats in `out`, write its files there, and return it in the user's frame.
 

@@ -10,6 +10,7 @@ from mgsr.config.expert import LowFrequencyOptions
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import integrate_normals
 from mgsr.geometry.mesh import Mesh
+from mgsr.parallel import map_ahead
 
 CHUNK = 8192  # vertices whose neighbourhoods are handled at a time
 
@@ -44,15 +45,15 @@ def _fitted_normals(mesh: Mesh, unit: float, angle: float, options: LowFrequency
     scaled = mesh.moved(mesh.vertices / (options.reach * unit))
     places, normals = scaled.vertices, mesh.double_normals
     parts = _neighbourhoods(places, _areas(scaled), options.far)
+
+    def fitted(chunk: tuple[sparse.csr_matrix, np.ndarray, np.ndarray]) -> np.ndarray:
+        around, own, here = chunk
+        return _fit(_alike(around, own, normals, angle), table, own, here, options.regularization)
+
     for _ in range(options.rounds):
         table = _moments(places, normals)
         owns, heres = (np.array_split(each, range(CHUNK, len(places), CHUNK)) for each in (normals, places))
-        normals = np.concatenate(
-            [
-                _fit(_alike(around, own, normals, angle), table, own, here, options.regularization)
-                for around, own, here in zip(parts, owns, heres, strict=True)
-            ]
-        )
+        normals = np.concatenate(list(map_ahead(fitted, zip(parts, owns, heres, strict=True), None)))
     return normals
 
 

@@ -34,6 +34,7 @@ from mgsr.geometry.contours import contour_gaps
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import smooth_displacements
 from mgsr.geometry.mesh import Mesh
+from mgsr.parallel import map_ahead
 from mgsr.shading.details import Details, KnownLight, ObservedMesh, centered, choose_mix, mix_channels, read_details
 from mgsr.shading.light_models import LightModel
 from mgsr.shading.photo_set import PhotoSet
@@ -139,8 +140,8 @@ def _step(
 
     halves = [_half(details, first, options.min_in_half) for first in range(2)]
     known = np.all([half.weights.any(axis=1) for half in halves], axis=0)
-    one, other = (moves(half) for half in halves)
-    return np.asarray(_agreement(one, other, known, surface, options) * moves(details) - held)
+    one, other, whole = map_ahead(moves, [*halves, details], None)
+    return np.asarray(_agreement(one, other, known, surface, options) * whole - held)
 
 
 def _half(details: Details, first: int, least: int) -> Details:

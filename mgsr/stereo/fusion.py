@@ -28,6 +28,7 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import drop_small_pieces
 from mgsr.native import _fusion
 from mgsr.native.structs import VotingMaps
+from mgsr.parallel import map_ahead
 from mgsr.stereo.patch_match import DepthMap
 
 MARGIN = 1.5  # voxels of the hull, between the hull and the grid's border
@@ -142,8 +143,9 @@ def _fused(votes: _Votes, grid: _Grid, hull: Hull, rough: Hull | None) -> Hull:
         near &= np.abs(field) < options.band
     active = np.flatnonzero(near)
     histogram = votes.on(centers[active])
-    for values in histogram.T:
-        values[:] = grid.blurred(active, values, options.pooled)
+    blurred = map_ahead(lambda values: grid.blurred(active, values, options.pooled), histogram.T, None)
+    for values, pooled in zip(histogram.T, blurred, strict=True):
+        values[:] = pooled
     fading = options.hull_weight * np.exp(-np.maximum(depth[active] - 1, 0) / options.fading)
     held = np.maximum(fading, options.hull_floor) / _thickness(depth, votes, grid)[active] ** 2
     histogram[np.arange(len(active)), _bins(bound[active], options.bins)] += held

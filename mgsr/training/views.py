@@ -26,8 +26,8 @@ MADE_BYTES = 1 << 30
 class TrainingView:
     """One photograph as bytes, or the part of it around the object, with the regions that its losses need.
 
-    Each iteration converts it to a target. Whole photographs as bytes share the scene's memory, whereas hundreds of
-    large ones as floats would fill the memory. Flat indices are row x W + column.
+    Each iteration converts it to a target. Bytes share the scene's memory, whereas hundreds of large photographs as
+    floats would fill the memory. Flat indices are row x W + column.
 
     image [H,W,3] uint8: straight colours.
     mask [H,W] uint8: None without masks.
@@ -115,9 +115,7 @@ def _prepared(
     if box is not None:
         view = view.cropped(*box)
     if reduce > 1:
-        view = _reduced(view, reduce)
-    if box is not None or reduce > 1:
-        view = _held(view, store)
+        view = _held(_reduced(view, reduce), store)
     image = _moved(view.image, device)
     # The host finds the indices, so that it need not wait for a GPU.
     invalid = None if view.valid_mask is None else torch.from_numpy(np.flatnonzero(~view.valid_mask)).to(device)
@@ -138,9 +136,8 @@ def _prepared(
 
 
 def _held(view: View, store: PixelStore) -> View:
-    """Copy the view's image and alpha to dense arrays of the store."""
-    alpha = None if view.alpha is None else store.hold(np.ascontiguousarray(view.alpha))
-    return replace(view, image=store.hold(np.ascontiguousarray(view.image)), alpha=alpha)
+    alpha = None if view.alpha is None else store.hold(view.alpha)
+    return replace(view, image=store.hold(view.image), alpha=alpha)
 
 
 def _moved(pixels: np.ndarray, device: torch.device) -> Tensor:

@@ -112,7 +112,7 @@ def _compute(branch: str, state: TrainState, train: TrainConfig) -> Callable[...
 
 def test_photographs_are_not_copied() -> None:
     view = ball_scene().train[0]
-    (prepared,) = prepare_views([view], masked=True, edge_band=1)
+    (prepared,) = prepare_views([view], masked=True, margin=2, edge_band=1)
     assert np.shares_memory(prepared.image.numpy(), view.image)
     assert prepared.mask is not None
     assert np.shares_memory(prepared.mask.numpy(), view.alpha)

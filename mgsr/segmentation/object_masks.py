@@ -1,7 +1,9 @@
 """Object masks for photographs without any, found without user input and without a neural network.
 
-A 2D branch is trained briefly on small photographs of the whole scene. The object's first surfels are the connected
-piece that stands on the support plane near the scene's centre. A few rounds then refine masks and surfels in turn:
+A 2D branch is trained briefly on small photographs of the whole scene. At most 64 of them, spread over all, are
+searched: what the object hides in one frame of a video, it hides in the next frames, too. The object's first surfels
+are the connected piece that stands on the support plane near the scene's centre. A few rounds then refine masks and
+surfels in turn:
 
 1. Each photograph is compared with its expected background and with the object's rendered surfels. Where the
    background is unknown, photo-consistency and the colours of object and support plane decide. A random walker turns
@@ -9,6 +11,7 @@ piece that stands on the support plane near the scene's centre. A few rounds the
 2. The visual hull of the mattes tolerates errors in a few of them. Its surface gives each view's silhouette.
 3. The surfels in the hull that certainly hide the background become the object's.
 
+The last mattes are those of all photographs.
 The capture shows no single object if the masks and the hull's silhouettes still disagree afterwards.
 """
 
@@ -26,7 +29,7 @@ from mgsr.config import make_config
 from mgsr.config.expert import ObjectSearchOptions, SegmentationConfig
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.hull import Hull, hull_surface
-from mgsr.data.scene import Scene, View
+from mgsr.data.scene import Scene, View, some_of
 from mgsr.errors import Cancelled
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.geometry.mesh import Mesh
@@ -49,7 +52,7 @@ class FoundObject:
     """The object that a capture shows.
 
     train, test: its masks [H,W] uint8, 0..255, in the order of the scene's views.
-    agreement [V]: the intersection over union of each training view's mask and the hull's silhouette.
+    agreement [V]: the intersection over union of each training view's matte and the hull's silhouette.
     box [2,3]: the least and the largest corner of its hull, in the scene's frame.
     plane: the support plane, None if the user gave a box and no plane was found.
     """
@@ -89,7 +92,7 @@ def find_object(
 
     Raises Cancelled once should_stop returns True, and TrainingError if training fails.
     """
-    views, own = [small_view(view, options.search.side) for view in scene.train], options.search
+    views, own = [small_view(view, options.search.side) for view in some_of(scene.train)], options.search
     small = replace(scene, train=views, test=[])
     model = _trained(small, start, seed, own.iterations, should_stop, lambda done: progress(0.4 * done))
     cameras, generator = [view.camera for view in views], np.random.default_rng(seed)
@@ -110,9 +113,11 @@ def find_object(
     )
     if (doubt := _doubt(search.masks, agreement, own)) is not None:
         return doubt
-    masks = search.last_masks(scene.train, scene.test)
+    last = search.last_masks(scene.train, scene.test)
     progress(1.0)
-    return FoundObject(masks[: len(views)], masks[len(views) :], agreement, search.box(), first.plane)
+    masks, count = [mask for mask, _ in last], len(scene.train)
+    agreement = np.array([overlap for _, overlap in last[:count]])
+    return FoundObject(masks[:count], masks[count:], agreement, search.box(), first.plane)
 
 
 @dataclass(frozen=True)
@@ -192,21 +197,22 @@ class _Search:
         hides = (certain > own.certain * known) & (known > own.known)
         self.labels = inside & (first.heights > own.raised * self._pixel) & hides
 
-    def last_masks(self, train: Sequence[View], test: Sequence[View]) -> list[np.ndarray]:
+    def last_masks(self, train: Sequence[View], test: Sequence[View]) -> list[tuple[np.ndarray, float]]:
         """Return the final masks [H,W] uint8, 0..255, of the training and then the test views.
 
-        They are computed in photographs of `fine_side` pixels and resized to the views.
+        With each comes the intersection over union of its matte and the hull's silhouette. Masks are computed in
+        photographs of `fine_side` pixels and resized to the views.
         """
         import cv2  # imported here, because training needs no OpenCV
 
         own, mattes = self._options.search, self._options.mattes
         fine = [small_view(view, own.fine_side) for view in [*train, *test]]
-        sources, surfels = self._sources(fine[: len(train)]), some_surfels(self._model, self.labels)
+        sources, surfels = self._sources(some_of(fine[: len(train)])), some_surfels(self._model, self.labels)
         hull = self._hull
         assert hull is not None
         caster = Mesh(*hull_surface(hull)).caster
 
-        def made(pair: tuple[View, View]) -> np.ndarray:
+        def made(pair: tuple[View, View]) -> tuple[np.ndarray, float]:
             view, camera = pair[0], pair[1].camera
             longest = max(camera.width, camera.height)
             inside = silhouette_distance(caster, camera) / max(
@@ -217,7 +223,8 @@ class _Search:
             outer = np.where(inside > -own.outer_margin, found.share, 0)
             share = np.where((inside > own.filled) & ~found.gaps, 1, outer).astype(np.float32)
             size = view.camera.width, view.camera.height
-            return np.asarray((255 * cv2.resize(share, size, interpolation=cv2.INTER_LINEAR)).round().astype(np.uint8))
+            mask = (255 * cv2.resize(share, size, interpolation=cv2.INTER_LINEAR)).round().astype(np.uint8)
+            return mask, _overlap(found.share > 0.5, inside > 0)
 
         return list(map_ahead(made, zip([*train, *test], fine, strict=True), None))
 

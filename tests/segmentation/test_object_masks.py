@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mgsr.config.expert import ObjectSearchOptions, SegmentationConfig
-from mgsr.data.scene import Scene, View
+from mgsr.data.scene import PHOTOGRAPHS, Scene, View
 from mgsr.segmentation.object_masks import FoundObject, NoObject, find_object
 from mgsr.start.starting_points import starting_points
 from tests.segmentation.table_scene import TABLE, table_scene
@@ -39,6 +39,17 @@ def test_masks_are_those_of_the_object(found: tuple[FoundObject, list[np.ndarray
     scores = overlaps(result.train + result.test, truth)
     assert np.mean(scores) > 0.93 and min(scores) > 0.85, scores
     assert result.agreement.shape == (len(result.train),) and result.agreement.min() > 0.8
+
+
+@pytest.mark.slow
+def test_photographs_beyond_the_searched_ones_get_masks_as_good() -> None:
+    scene, truth = table_scene(size=160, views=82)
+    assert len(scene.train) > PHOTOGRAPHS
+    result = find_object(scene, starting_points(scene, 8000, 0), 0)
+    assert isinstance(result, FoundObject), result
+    scores = overlaps(result.train + result.test, truth)
+    assert np.mean(scores) > 0.93 and min(scores) > 0.85, scores
+    assert result.agreement.shape == (80,) and result.agreement.min() > 0.8
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from mgsr.config.expert import ExposureOptions
 from mgsr.data.exposure import at_common_exposure, brightness_jumps
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.data.robust import robust_deviation
-from mgsr.data.scene import Exposures, Scene, View
+from mgsr.data.scene import Exposures, Scene, View, some_of
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.parallel import one_torch_thread
 from mgsr.start.point_exposures import exposure_gain, point_exposures
@@ -50,7 +50,7 @@ def find_exposures(
     options = expert.training.exposure
     if len(scene.train) < options.min_views:
         return None
-    if brightness_jumps(scene.train, scene.options.brightness) < options.min_jump:
+    if brightness_jumps(some_of(scene.train, options.jump_views), scene.options.brightness) < options.min_jump:
         return None
     degrees, small = (0, options.degree), [small_view(view, options.proxy.side) for view in scene.train]
     tests = [small_view(view, options.proxy.side) for view in scene.test]

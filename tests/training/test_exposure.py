@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mgsr.config import make_config
+from mgsr.config.expert import ExposureOptions
 from mgsr.data.exposure import brightness_jumps, with_exposures
 from mgsr.data.scene import Exposures, Scene
 from mgsr.errors import Cancelled
@@ -79,3 +80,20 @@ def test_a_wish_to_stop_is_heeded() -> None:
 def test_the_difference_between_the_brightest_and_the_darkest() -> None:
     exposures = Exposures(np.array([[0.5, 0.5, 0.5], [1.0, 2.0, 0.5]]), np.array([[2.0, 2.0, 2.0]]))
     assert exposures.largest_difference == pytest.approx(4)
+
+
+def test_a_slow_drift_in_a_video_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Check that exposures are compared where frames differ less from the next ones than photographs do."""
+    ring = [view for view in ball_scene(size=12, train=1500).train if abs(view.camera.center[2]) < 0.4]
+    frames = sorted(ring, key=lambda view: np.arctan2(view.camera.center[1], view.camera.center[0]))
+    drift = np.random.default_rng(3).normal(0, 0.05, len(frames)).cumsum()
+    video = [exposed(view, np.full(3, np.exp(step - drift.max()))) for view, step in zip(frames, drift, strict=True)]
+    assert len(video) > 200 and brightness_jumps(video) < ExposureOptions().min_jump
+
+    def compared(*_: object) -> np.ndarray:
+        raise Cancelled
+
+    monkeypatch.setattr(exposure, "_kept_errors", compared)
+    with pytest.raises(Cancelled):
+        find_exposures(replace(ball_scene(size=12), train=video), START, seed=0)
+    assert find_exposures(replace(ball_scene(size=12), train=frames), START, seed=0) is None

@@ -68,6 +68,7 @@ class ExposureOptions(Options):
     held_out: Annotated[int, Range(2)] = 4  # one view in this many is held out from a training
     min_views: Count = 12  # least views for which exposures are estimated
     min_jump: NotNegative = 0.07  # brightness change between neighbours below which exposures count as equal
+    jump_views: Count = 48  # views, spread over all, whose neighbours are compared; frames of a video change slowly
     min_gain: NotNegative = 0.5  # dB that factors must gain on the halves of photographs to which they were not fitted
     faint: Share = 0.3  # share of the median light below which pixels are ignored
     min_pixels: Count = 20  # least pixels to which a factor is fitted

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from importlib import import_module
 from typing import TypeVar
 
 import torch
@@ -56,10 +57,10 @@ def one_torch_thread() -> Iterator[None]:
 def one_library_thread() -> Iterator[None]:
     """Let torch, NumPy and SciPy use one thread inside the block, and as many as before outside.
 
-    After each product of matrices, the idle threads of OpenBLAS spin on cores that others use, for up to 30 ms.
+    After each product of matrices, the idle threads of OpenBLAS spin on cores that others use.
     """
-    import scipy.linalg  # noqa: F401  # loads SciPy's BLAS, which is not NumPy's
     from threadpoolctl import threadpool_limits  # imported here, because training needs no threadpoolctl
 
+    import_module("scipy.linalg")  # loads SciPy's BLAS, which is not NumPy's
     with one_torch_thread(), threadpool_limits(1, "blas"):
         yield

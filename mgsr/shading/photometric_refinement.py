@@ -80,7 +80,7 @@ def refine_photometrically(
         move = np.zeros(len(moved.vertices))
         for _ in range(steps):
             held = total + move if accurate else np.zeros_like(move)
-            move += _step(details.after(move), surface, hold.after(move), held, plate, options)
+            move += _step(details.after(move), surface, hold.after(move), held, plate, options, photos.threads)
         move = np.clip(move, -options.limit, options.limit)
         moved, total = moved.moved(moved.vertices + pixel * move[:, None] * moved.double_normals), total + move
     return mesh.moved(mesh.vertices + start.prolongation(mesh.vertices) @ (moved.vertices - start.vertices))
@@ -124,6 +124,7 @@ def _step(
     held: np.ndarray,
     plate: Callable[[np.ndarray, np.ndarray], np.ndarray],
     options: PhotometricOptions,
+    threads: int | None,
 ) -> np.ndarray:
     """Return displacements [V], in pixels, to where photographs and contours agree, as far as they are no noise.
 
@@ -140,7 +141,7 @@ def _step(
 
     halves = [_half(details, first, options.min_in_half) for first in range(2)]
     known = np.all([half.weights.any(axis=1) for half in halves], axis=0)
-    one, other, whole = map_ahead(moves, [*halves, details], None)
+    one, other, whole = map_ahead(moves, [*halves, details], threads)
     return np.asarray(_agreement(one, other, known, surface, options) * whole - held)
 
 

@@ -59,7 +59,10 @@ class TrainingView:
 
     @property
     def off_edge_share(self) -> float:
-        """Return the view's share of the whole photograph's pixels away from the mask's contour, which the view has."""
+        """Return the view's share of those of the whole photograph's pixels that lie away from the mask's contour.
+
+        The contour lies inside the view.
+        """
         if self.off_edge_sum is None:
             return 1.0
         outside = self.whole[0] * self.whole[1] - self.camera.width * self.camera.height
